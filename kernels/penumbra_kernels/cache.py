@@ -1,0 +1,88 @@
+"""Built programs on disk, keyed by all that they depend on. A broken entry is rebuilt, never fatal."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from penumbra_kernels.device import DeviceInfo
+
+MAX_BYTES: Final = 512 * 1024 * 1024
+"""Oldest entries go when the folder holds more."""
+_DIGEST: Final = 32
+
+
+def folder() -> Path:
+    """PENUMBRA_CACHE, or penumbra under the user's cache folder."""
+    root = os.environ.get("PENUMBRA_CACHE")
+    if root:
+        return Path(root)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "penumbra"
+
+
+def key(source: str, options: Sequence[str], device: DeviceInfo) -> str:
+    """SHA-256 of the flattened source, build options, device, driver and platform."""
+    parts = [source, list(options), device.name, device.driver, device.platform, device.platform_version]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _path(key: str) -> Path:
+    return folder() / "programs" / f"{key}.bin"
+
+
+def load(key: str) -> bytes | None:
+    """The binary, or None where there is none or its checksum is wrong."""
+    path = _path(key)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    digest, binary = data[:_DIGEST], data[_DIGEST:]
+    if hashlib.sha256(binary).digest() != digest:
+        discard(key)
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(path)
+    return binary
+
+
+def store(key: str, binary: bytes) -> None:
+    """Write atomically; a full or read-only disk only means that the next start compiles again."""
+    path = _path(key)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        with os.fdopen(handle, "wb") as file:
+            file.write(hashlib.sha256(binary).digest() + binary)
+        os.replace(temporary, path)
+    except OSError:
+        return
+    _trim(path.parent)
+
+
+def discard(key: str) -> None:
+    """Forget an entry."""
+    with contextlib.suppress(OSError):
+        _path(key).unlink()
+
+
+def _trim(programs: Path) -> None:
+    entries = []
+    for path in programs.glob("*.bin"):
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            entries.append((status.st_mtime, status.st_size, path))
+    total = sum(size for _, size, _ in entries)
+    for _, size, path in sorted(entries):
+        if total <= MAX_BYTES:
+            return
+        with contextlib.suppress(OSError):
+            path.unlink()
+        total -= size

@@ -1,0 +1,19 @@
+// Named random dimensions. Numbers never depend on which effects are compiled in, so that a program without an
+// effect draws the same numbers for everything else as one with it.
+// A dimension is a 64-bit number that names one pair of uniforms: bits 0-3 slot, 4-31 bounce, 32-63 light (all lights).
+
+#define DIM_PIXEL 0ul  // position under the reconstruction filter, 2-D
+#define DIM_LENS 1ul   // point on the aperture, 2-D
+#define DIM_TIME 2ul   // instant within the shutter interval, 1-D
+
+#define SLOT_LIGHT_SELECT 0ul  // which light, 1-D
+#define SLOT_LIGHT 1ul         // point or direction on the light, 2-D
+#define SLOT_LOBE 2ul          // which lobe of the material, 1-D
+#define SLOT_DIRECTION 3ul     // direction in that lobe, 2-D
+#define SLOT_ROULETTE 4ul      // whether the path goes on, 1-D
+#define SLOT_LIGHT_TRIANGLE 5ul  // which triangle of a mesh light, 1-D
+
+// Dimension of a slot at hit number `bounce` (0 is the first hit).
+#define DIM_BOUNCE(bounce, slot) (((ulong)(bounce) + 1ul) * 16ul + (slot))
+// The same for light `light` where every light is asked.
+#define DIM_LIGHT(bounce, slot, light) (DIM_BOUNCE(bounce, slot) | (((ulong)(light) + 1ul) << 32))

@@ -1,0 +1,172 @@
+"""OpenCL devices: finding them, building programs on them, their queues and buffers. The only home of pyopencl.
+
+A device is named `platform:index`, for instance `pocl:0`. Importing this module is cheap; pyopencl is loaded when the
+first device is asked for.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from penumbra_kernels import cache
+from penumbra_kernels.program import BUILD_OPTIONS, assemble
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+KIND_CPU: Final = "cpu"
+KIND_GPU: Final = "gpu"
+
+
+class DeviceError(RuntimeError):
+    """A device is missing, or would not do what was asked; the message says which and why."""
+
+
+class BuildError(DeviceError):
+    """The device's compiler refused a program; the message carries its log with our file names and lines."""
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What a device says of itself."""
+
+    id: str
+    name: str
+    platform: str
+    platform_version: str
+    driver: str
+    kind: str
+    compute_units: int
+    memory_bytes: int
+    max_allocation_bytes: int
+
+    @property
+    def bit_class(self) -> str:
+        """Devices of one bit class give the same bits for the same program (with its hash)."""
+        return f"{self.platform_version}|{self.driver}|{self.name}"
+
+
+def _platform_key(name: str) -> str:
+    if "Portable Computing Language" in name:
+        return "pocl"
+    return name.lower().split()[0].replace("(r)", "").replace("(tm)", "")
+
+
+def _describe(device: cl.Device, platform: cl.Platform, number: int) -> DeviceInfo:
+    import pyopencl as cl
+
+    kind = KIND_GPU if device.type & cl.device_type.GPU else KIND_CPU
+    return DeviceInfo(
+        id=f"{_platform_key(platform.name)}:{number}",
+        name=device.name.strip(),
+        platform=platform.name.strip(),
+        platform_version=platform.version.strip(),
+        driver=device.driver_version.strip(),
+        kind=kind,
+        compute_units=device.max_compute_units,
+        memory_bytes=device.global_mem_size,
+        max_allocation_bytes=device.max_mem_alloc_size,
+    )
+
+
+def _enumerate() -> list[tuple[DeviceInfo, Any]]:
+    import pyopencl as cl
+
+    found: list[tuple[DeviceInfo, Any]] = []
+    try:
+        platforms = cl.get_platforms()
+    except cl.LogicError:
+        return found
+    for platform in platforms:
+        try:
+            devices = platform.get_devices()
+        except cl.Error:
+            continue
+        for number, device in enumerate(devices):
+            found.append((_describe(device, platform, number), device))
+    return found
+
+
+def devices() -> list[DeviceInfo]:
+    """Every OpenCL device of this machine, in the platforms' order; empty where there is none."""
+    return [info for info, _ in _enumerate()]
+
+
+class Device:
+    """One opened OpenCL device: a context, an in-order queue, and the programs built on it."""
+
+    def __init__(self, device_id: str | None = None) -> None:
+        import pyopencl as cl
+
+        found = _enumerate()
+        matching = [pair for pair in found if device_id is None or pair[0].id == device_id]
+        if not matching:
+            have = ", ".join(info.id for info, _ in found) or "none"
+            raise DeviceError(f"no OpenCL device {device_id or ''!r}; this machine has: {have}")
+        self.info, handle = matching[0]
+        self.context = cl.Context([handle])
+        self.queue = cl.CommandQueue(self.context, handle)
+        self.builds = 0
+        """Programs that this object had the compiler build; a warm start leaves it at 0."""
+
+    @property
+    def flags(self) -> dict[str, int]:
+        """Macros that the device's kind decides: the seam between CPU and GPU variants."""
+        cpu_builtins = self.info.kind == KIND_CPU and "x86_64" in self.info.name and not _portable()
+        return {
+            "PENUMBRA_DEVICE_GPU": int(self.info.kind == KIND_GPU),
+            "PENUMBRA_BUILTINS": int(self.info.kind == KIND_CPU and not _portable()),
+            "PENUMBRA_X86": int(cpu_builtins),
+        }
+
+    def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> cl.Program:
+        """Assemble and build a program, from the cache where it is there. Raises BuildError with the log."""
+        import pyopencl as cl
+
+        source = assemble(entry, {**flags, **self.flags}, text)
+        key = cache.key(source, BUILD_OPTIONS, self.info)
+        binary = cache.load(key)
+        if binary is not None:
+            try:
+                return cl.Program(self.context, self.context.devices, [binary]).build(list(BUILD_OPTIONS))
+            except cl.Error:
+                cache.discard(key)
+        try:
+            program = cl.Program(self.context, source).build(list(BUILD_OPTIONS))
+        except cl.Error as error:
+            raise BuildError(f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}") from error
+        self.builds += 1
+        cache.store(key, program.get_info(cl.program_info.BINARIES)[0])
+        return program
+
+    def upload(self, array: np.ndarray[Any, Any]) -> cl.Buffer:
+        """A read-only buffer with a copy of the array's bytes; at least 16, so that empty arrays are valid."""
+        import pyopencl as cl
+
+        data = np.ascontiguousarray(array).view(np.uint8).reshape(-1)
+        if data.size < 16:
+            data = np.concatenate([data, np.zeros(16 - data.size, np.uint8)])
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.context, flags, hostbuf=data)
+
+    def allocate(self, size: int) -> cl.Buffer:
+        """A read-write buffer of `size` bytes, its content undefined."""
+        import pyopencl as cl
+
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
+
+    def download(self, buffer: cl.Buffer, out: np.ndarray[Any, Any]) -> None:
+        """Fill a contiguous array from a buffer; waits for the queue."""
+        import pyopencl as cl
+
+        cl.enqueue_copy(self.queue, out, buffer)
+
+
+def _portable() -> bool:
+    """PENUMBRA_PORTABLE=1 picks the branch without compiler builtins, for oclgrind and strange compilers."""
+    return os.environ.get("PENUMBRA_PORTABLE", "0") == "1"

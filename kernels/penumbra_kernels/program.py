@@ -1,0 +1,51 @@
+"""Assembling a program's text: the prologue of 0/1 flags, then the sources flattened with `#line` kept."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+CL_ROOT: Final = Path(__file__).parent / "cl"
+
+_INCLUDE: Final = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+
+BUILD_OPTIONS: Final = ("-cl-std=CL1.2",)
+"""The same for every program. No fast-math of any kind: error bounds and equal bits depend on IEEE arithmetic."""
+
+
+def flatten(text: str, name: str, seen: set[str]) -> str:
+    """Inline every `#include "path"` (relative to cl/) once, keeping file names and lines for error messages."""
+    out = [f'#line 1 "{name}"']
+    for number, line in enumerate(text.splitlines(), start=1):
+        match = _INCLUDE.match(line)
+        if not match:
+            out.append(line)
+            continue
+        path = match.group(1)
+        if path not in seen:
+            seen.add(path)
+            out.append(flatten((CL_ROOT / path).read_text(), path, seen))
+        out.append(f'#line {number + 1} "{name}"')
+    return "\n".join(out)
+
+
+def assemble(entry: str, flags: Mapping[str, int], text: str | None = None) -> str:
+    """The whole text of a program.
+
+    entry: file under cl/ that holds the kernels, or, where `text` is given, a name for that text.
+    flags: macro name -> integer; numbers only, so that no text of a user ever reaches a compiler.
+    """
+    for key, value in flags.items():
+        if not re.fullmatch(r"PENUMBRA_[A-Z0-9_]+", key) or not isinstance(value, int):
+            raise ValueError(f"flag {key}={value!r}: flags are PENUMBRA_* macros with integer values")
+    prologue = "".join(f"#define {key} {int(value)}\n" for key, value in sorted(flags.items()))
+    body = text if text is not None else (CL_ROOT / entry).read_text()
+    return prologue + "#pragma OPENCL FP_CONTRACT OFF\n" + flatten(body, entry, {entry})
+
+
+def source_hash(source: str) -> str:
+    """SHA-256 of a program's text, hexadecimal."""
+    return hashlib.sha256(source.encode()).hexdigest()

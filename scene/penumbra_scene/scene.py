@@ -1,0 +1,36 @@
+"""The scene: everything that determines a picture."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from penumbra_scene import limits
+from penumbra_scene.base import Model, Name
+from penumbra_scene.camera import Camera
+from penumbra_scene.film import Film
+from penumbra_scene.lights import Environment, Light
+from penumbra_scene.materials import Material
+from penumbra_scene.settings import Integrator, Sampler, Stop
+from penumbra_scene.shapes import PrototypeShape, Shape
+from penumbra_scene.textures import Texture
+
+
+class Scene(Model):
+    """Metres, seconds, degrees; right-handed, Y up; linear Rec.709."""
+
+    version: Literal[1]
+    """Of this format."""
+    name: Name = "untitled"
+    camera: Camera
+    film: Film = Film()
+    integrator: Integrator = Integrator()
+    sampler: Sampler = Sampler()
+    stop: Stop = Stop()
+    textures: Annotated[dict[Name, Texture], Field(max_length=limits.MAX_TEXTURES)] = {}
+    materials: Annotated[dict[Name, Material], Field(max_length=limits.MAX_MATERIALS)] = {}
+    prototypes: dict[Name, Annotated[tuple[PrototypeShape, ...], Field(min_length=1)]] = {}
+    shapes: Annotated[tuple[Shape, ...], Field(max_length=limits.MAX_SHAPES)] = ()
+    lights: Annotated[tuple[Light, ...], Field(max_length=limits.MAX_LIGHTS)] = ()
+    environment: Environment | None = None

@@ -1,0 +1,65 @@
+"""How a scene is rendered: integrator, sampler, and when to stop."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from penumbra_scene import limits
+from penumbra_scene.base import Integer, Model, Positive
+
+
+class Integrator(Model):
+    """Recursive path tracing with next-event estimation and multiple importance sampling."""
+
+    max_bounces: Annotated[Integer, Field(ge=0, le=limits.MAX_BOUNCES)] = 16
+    """Reflections and transmissions that a path may make after the first hit; 0 is direct light only."""
+    roulette_start: Annotated[Integer, Field(ge=0, le=limits.MAX_BOUNCES)] = 4
+    """Bounces before Russian roulette may end a path; survival is min(1, throughput)."""
+    light_selection: Literal["all", "uniform", "power"] = "power"
+    """Which lights a hit asks: every one, or `shadow_rays` picks by equal chance or by power."""
+    shadow_rays: Annotated[Integer, Field(ge=1, le=limits.MAX_SHADOW_RAYS)] = 1
+    """Shadow rays per light (all), or picks per hit (uniform, power)."""
+    light_sampling: Literal["solid_angle", "area"] = "solid_angle"
+    """The density on an area light: uniform in the solid angle that it subtends, or uniform over its area."""
+    mis: bool = True
+    """Weigh light samples against lobe samples (Veach's power heuristic). False: area lights by light samples only."""
+
+
+def _seed(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError("must be an integer from 0 to 2^64-1, or the same as a string")
+    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20:
+        return int(value)
+    return value
+
+
+Seed = Annotated[int, BeforeValidator(_seed), Field(ge=0, lt=2**64)]
+"""64 bits; write large ones as strings, since JSON numbers lose bits beyond 2^53."""
+
+
+class Sampler(Model):
+    type: Literal["regular", "random", "independent", "stratified", "jittered", "sobol", "blue_noise"] = "sobol"
+    seed: Seed = 0
+    replicates: Literal[1, 2, 4, 8, 16] | None = None
+    """Independent replicates a pixel, from whose spread the variance is estimated; default 8 (fewer for few samples)."""
+
+
+class Stop(Model):
+    """When a render ends: whichever comes first. Without any, 64 samples a pixel."""
+
+    samples: Annotated[Integer, Field(ge=1, le=limits.MAX_SAMPLES)] | None = None
+    """A pixel."""
+    seconds: Annotated[Positive, Field(le=limits.MAX_SECONDS)] | None = None
+    """Of tracing."""
+    relative_error: Annotated[Positive, Field(le=1)] | None = None
+    """sqrt(relmse) of the picture, e.g. 0.02 for 2 %."""
+    confidence: Annotated[Positive, Field(gt=0.5, lt=1)] = 0.95
+
+    @model_validator(mode="before")
+    @classmethod
+    def _some_rule(cls, data: Any) -> Any:
+        if isinstance(data, dict) and not any(data.get(k) is not None for k in ("samples", "seconds", "relative_error")):
+            return {**data, "samples": 64}
+        return data

@@ -1,0 +1,152 @@
+"""Placing things: a list of steps, applied to points in the order listed, or keyframes of such lists over time."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from penumbra_scene import limits
+from penumbra_scene.base import Direction, Float, Model, Vec3, _spread_gray
+
+
+class LookAtFrame(Model):
+    """A frame at `origin` whose -Z axis points at `target`, with `up` in its upper half plane."""
+
+    origin: Vec3
+    target: Vec3
+    up: Direction = (0.0, 1.0, 0.0)
+
+    @model_validator(mode="after")
+    def _not_degenerate(self) -> LookAtFrame:
+        f = [t - o for t, o in zip(self.target, self.origin, strict=True)]
+        u = self.up
+        cross = (f[1] * u[2] - f[2] * u[1], f[2] * u[0] - f[0] * u[2], f[0] * u[1] - f[1] * u[0])
+        size = sum(x * x for x in f) * sum(x * x for x in u)
+        if sum(x * x for x in cross) <= 1e-12 * size:
+            raise ValueError("target must differ from origin, and up must not be parallel to the view direction")
+        return self
+
+
+class Rotation(Model):
+    """A rotation about an axis through the origin, counter-clockwise seen from the axis' tip."""
+
+    axis: Direction
+    angle: Float
+    """Degrees."""
+
+
+class Translate(Model):
+    translate: Vec3
+    """Metres."""
+
+
+class Rotate(Model):
+    rotate: Rotation
+
+
+def _nonzero_scale(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if any(abs(x) < 1e-12 for x in value):
+        raise ValueError("no component may be zero")
+    return value
+
+
+class Scale(Model):
+    scale: Annotated[Vec3, BeforeValidator(_spread_gray)]
+    """A factor an axis, or one number for all three; negative ones mirror."""
+
+    @model_validator(mode="after")
+    def _not_singular(self) -> Scale:
+        _nonzero_scale(self.scale)
+        return self
+
+
+Row4 = tuple[Float, Float, Float, Float]
+
+
+class Matrix(Model):
+    matrix: tuple[Row4, Row4, Row4, Row4]
+    """Four rows of four; the last must be 0 0 0 1."""
+
+    @model_validator(mode="after")
+    def _affine_and_regular(self) -> Matrix:
+        if tuple(self.matrix[3]) != (0.0, 0.0, 0.0, 1.0):
+            raise ValueError("the last row must be [0, 0, 0, 1]")
+        a, b, c = (row[:3] for row in self.matrix[:3])
+        det = (
+            a[0] * (b[1] * c[2] - b[2] * c[1])
+            - a[1] * (b[0] * c[2] - b[2] * c[0])
+            + a[2] * (b[0] * c[1] - b[1] * c[0])
+        )
+        lengths = [sum(row[j] ** 2 for row in (a, b, c)) ** 0.5 for j in range(3)]
+        if abs(det) <= 1e-9 * lengths[0] * lengths[1] * lengths[2] or det == 0:
+            raise ValueError("the upper-left 3x3 part must be invertible")
+        return self
+
+
+class LookAt(Model):
+    look_at: LookAtFrame
+
+
+_STEP_KEYS = ("translate", "rotate", "scale", "matrix", "look_at")
+
+
+def _step_tag(value: Any) -> str | None:
+    if isinstance(value, dict):
+        return next((key for key in _STEP_KEYS if key in value), None)
+    return next((key for key in _STEP_KEYS if hasattr(value, key)), None)
+
+
+Step = Annotated[
+    Annotated[Translate, Tag("translate")]
+    | Annotated[Rotate, Tag("rotate")]
+    | Annotated[Scale, Tag("scale")]
+    | Annotated[Matrix, Tag("matrix")]
+    | Annotated[LookAt, Tag("look_at")],
+    Discriminator(
+        _step_tag,
+        custom_error_type="transform_step",
+        custom_error_message="a step must be an object with one of the keys translate, rotate, scale, matrix, look_at",
+    ),
+]
+
+Steps = Annotated[tuple[Step, ...], Field(max_length=64)]
+
+
+class TransformKeyframe(Model):
+    time: Float
+    """Seconds."""
+    transform: Steps
+
+
+class Keyframes(Model):
+    """Transforms over time. Between keyframes translation and stretch are interpolated linearly, rotation by slerp
+    along the shorter arc; before the first and after the last the transform stands still."""
+
+    keyframes: Annotated[tuple[TransformKeyframe, ...], Field(min_length=1, max_length=limits.MAX_KEYFRAMES)]
+
+    @model_validator(mode="after")
+    def _times_rise(self) -> Keyframes:
+        times = [k.time for k in self.keyframes]
+        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+            raise ValueError("keyframe times must rise strictly")
+        return self
+
+
+def _listed(value: Any) -> Any:
+    """One step alone stands for a list of one."""
+    if isinstance(value, dict) and "keyframes" not in value:
+        return [value]
+    return value
+
+
+def _transform_tag(value: Any) -> str:
+    return "keyframes" if isinstance(value, (dict, Keyframes)) else "steps"
+
+
+Transform = Annotated[
+    Annotated[Steps, Tag("steps")] | Annotated[Keyframes, Tag("keyframes")],
+    Discriminator(_transform_tag),
+    BeforeValidator(_listed),
+]
+"""A step, a list of steps, or {"keyframes": [...]}."""
