@@ -1,0 +1,58 @@
+# Penumbra's front door. `make demo` and `make test` work on a fresh Debian machine; `make help` lists the rest.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+VENV ?= .venv
+PYTHON ?= python3
+BIN := $(VENV)/bin
+PACKAGES := scene/penumbra_scene kernels/penumbra_kernels service/penumbra_service client/penumbra_client
+# Extra words for pytest, for instance: make test ARGS="tests/client -k sse"
+ARGS ?=
+
+export VENV PYTHON
+
+.PHONY: help setup demo test serve lint types contracts schema layout lock pictures clean distclean
+
+help: ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: ## make the virtual environment (every other target does so by itself)
+	@./scripts/bootstrap.sh
+
+demo: setup ## start the service, render an example scene as a client would, stop the service
+	@$(BIN)/python scripts/demo.py $(ARGS)
+
+test: setup ## run the whole test suite
+	@$(BIN)/python -m pytest $(ARGS)
+
+serve: setup ## keep the service up on 127.0.0.1:8484, its data in data/
+	@exec $(BIN)/penumbra serve --data data $(ARGS)
+
+lint: setup ## ruff: style and format
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+
+types: setup ## mypy in strict mode
+	@$(BIN)/mypy
+
+contracts: setup ## import-linter: who may import whom
+	@$(BIN)/lint-imports
+
+schema: setup ## write docs/scene.schema.json from the scene models
+	@$(BIN)/python -m penumbra_scene.schema
+
+layout: setup ## write kernels/penumbra_kernels/cl/layout.h from layout.py
+	@$(BIN)/python -m penumbra_kernels.layout
+
+lock: setup ## pin every package, with hashes, in requirements.lock
+	@./scripts/lock.sh
+
+pictures: setup ## render every example into docs/pictures
+	@$(BIN)/python scripts/pictures.py $(ARGS)
+
+clean: ## remove what the targets left, but not the environment or the service's data
+	@rm -rf out dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	@find $(PACKAGES) tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean ## remove the environment too
+	@rm -rf $(VENV)
