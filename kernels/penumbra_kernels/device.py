@@ -160,6 +160,12 @@ class Device:
 
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
 
+    def launch(self, kernel: cl.Kernel, count: int, local: int, offset: int = 0) -> None:
+        """Run `count` work-items from global id `offset` on, in groups of `local`, and wait."""
+        import pyopencl as cl
+
+        cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,), (offset,)).wait()
+
     def download(self, buffer: cl.Buffer, out: np.ndarray[Any, Any]) -> None:
         """Fill a contiguous array from a buffer; waits for the queue."""
         import pyopencl as cl

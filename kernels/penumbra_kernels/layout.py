@@ -57,7 +57,7 @@ PARAMS: Final = np.dtype(
         ("root", np.uint32),  # child word of the world tree's root
         ("environment_light", np.uint32),  # its index in the light choice, or NONE
         ("log2_samples", np.uint32),  # blue noise: bits of the sample index below the pixel's rank
-        ("pad0", np.uint32),
+        ("options", np.uint32),  # OPTION_* bits
     ]
 )
 
@@ -84,7 +84,9 @@ KEYFRAME: Final = np.dtype(
         ("rotation", np.float32, (4,)),  # quaternion x y z w
         ("translation", np.float32, (3,)),
         ("time", np.float32),  # seconds from the frame's time
-        ("stretch", np.float32, (3, 4)),  # symmetric 3x3 applied before the rotation; columns 0-2, column 3 unused
+        # symmetric 3x3 applied before the rotation; column 3: squared half angle to the next keyframe's rotation,
+        # half angle / sin(half angle), unused
+        ("stretch", np.float32, (3, 4)),
     ]
 )
 
@@ -279,6 +281,8 @@ CONSTANTS: Final[dict[str, int]] = {
     "LIGHT_MESH": 6,
     "LIGHT_ENVIRONMENT": 7,
     "LIGHT_TWO_SIDED": 1,
+    "OPTION_ALL_LIGHTS": 1,  # every light at every hit, instead of picks
+    "OPTION_NO_MIS": 2,
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

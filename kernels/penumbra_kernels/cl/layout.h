@@ -29,6 +29,8 @@
 #define LIGHT_MESH 6u
 #define LIGHT_ENVIRONMENT 7u
 #define LIGHT_TWO_SIDED 1u
+#define OPTION_ALL_LIGHTS 1u
+#define OPTION_NO_MIS 2u
 #define SAMPLER_REGULAR 0u
 #define SAMPLER_RANDOM 1u
 #define SAMPLER_INDEPENDENT 2u
@@ -79,7 +81,7 @@ typedef struct {
   uint root;
   uint environment_light;
   uint log2_samples;
-  uint pad0;
+  uint options;
 } Params;
 // sizeof(Params) == 200
 

@@ -53,6 +53,7 @@ typedef struct {
   const __global float *normals;       // 3 a vertex of the meshes that have them
   const __global float *uvs;           // 2 a vertex of the meshes that have them
   const __global Material *materials;
+  const __global float *albedo_table;  // directional albedo of GGX lobes, see materials/
   const __global Texture *textures;
   const __global float4 *texels;
   const __global Light *lights;

@@ -1,0 +1,137 @@
+// Path tracing: next-event estimation and lobe sampling joined by multiple importance sampling, Russian roulette.
+// Reads the scene, draws the bounce's dimensions, writes nothing but what it returns.
+#include "integrators/direct.cl"
+#include "base/effects.h"
+
+// What one path brings back.
+typedef struct {
+  float3 radiance;
+  float alpha;       // 1 where the camera ray met a surface
+  float3 albedo;     // of the first hit
+  float3 normal;     // its shading normal
+  float depth;       // its distance along the ray, in units of |d|
+  uint object_id;    // 1 + index of the shape, 0 for none
+  uint effects;      // EFFECT_* bits met on the way
+} PathSample;
+
+// Weight of light met by a lobe's ray: against the light samples of the hit before, whose expected number is `chance`.
+static inline float hit_weight(const __global Params *params, const bool delta, const float lobe_pdf, const float light_pdf,
+                               const float chance) {
+  if (delta) return 1.0f;
+  if (params->options & OPTION_NO_MIS) return 0.0f;
+  return power_heuristic(lobe_pdf, chance * light_pdf);
+}
+
+// Expected number of light samples that a hit at p spends on this light.
+static inline float light_chance(const SceneData *scene, const __global Params *params, const float3 p, const uint light) {
+  const float picks = (float)params->shadow_rays;
+  return params->options & OPTION_ALL_LIGHTS ? picks : picks * light_pmf(scene, p, light);
+}
+
+static inline uint object_of(const SceneData *scene, const Surface *surface) {
+#if PENUMBRA_INSTANCING
+  if (surface->instance != NONE) return scene->instances[surface->instance].object_id;
+#endif
+  return scene->shapes[surface->shape].object_id;
+}
+
+// Survival is min(1, throughput), not capped: a cap below the albedo would give infinite variance.
+static inline bool roulette(const __global Params *params, const Sampler *sampler, const uint bounce, float3 *beta) {
+  if (bounce < params->roulette_start) return true;
+  const float survival = max3(*beta);
+  if (survival >= 1.0f) return true;
+  if (!(sample_1d(sampler, DIM_BOUNCE(bounce, SLOT_ROULETTE)) < survival)) return false;
+  *beta *= 1.0f / survival;
+  return true;
+}
+
+static inline PathSample trace_path(const SceneData *scene, const __global Params *params, const Sampler *sampler,
+                                    Ray ray) {
+  PathSample result;
+  result.radiance = (float3)(0.0f);
+  result.alpha = 0.0f;
+  result.albedo = (float3)(0.0f);
+  result.normal = (float3)(0.0f);
+  result.depth = 0.0f;
+  result.object_id = 0u;
+  result.effects = 0u;
+  const bool mis = (params->options & OPTION_NO_MIS) == 0u;
+
+  float3 beta = (float3)(1.0f);
+  float3 from = ray.o;      // the hit that the ray left, for light densities
+  float lobe_pdf = 0.0f;
+  bool delta = true;        // the camera's ray counts as one: nothing else samples what it sees
+  for (uint bounce = 0;; bounce++) {
+    Hit hit;
+    if (!intersect(scene, ray, &hit)) {
+#if PENUMBRA_ENVIRONMENT
+      if (scene->environment_light != NONE) {
+        const float3 wi = normalize3(ray.d);
+        const float weight = delta ? 1.0f
+                                   : hit_weight(params, false, lobe_pdf, environment_pdf(scene, wi),
+                                                light_chance(scene, params, from, scene->environment_light));
+        result.effects |= EFFECT_ENVIRONMENT;
+        result.radiance += beta * environment_radiance(scene, wi) * weight;
+      }
+#endif
+      break;
+    }
+    Surface surface;
+    surface_at(scene, ray, hit, &surface);
+    const float3 wo = -normalize3(ray.d);
+#if PENUMBRA_AREA_LIGHTS
+    const uint light = scene->shapes[surface.shape].light;
+    if (light != NONE) {
+      const float3 emitted = light_emitted(scene, &surface, wo);
+      if (max3(emitted) > 0.0f) {
+        float weight = 1.0f;
+        if (!delta) {
+          const float pdf = light_hit_pdf(scene, light, from, &surface, -wo, hit.t * length3(ray.d), ray.time);
+          weight = hit_weight(params, false, lobe_pdf, pdf, light_chance(scene, params, from, light));
+        }
+        result.effects |= EFFECT_AREA_LIGHT;
+        result.radiance += beta * emitted * weight;
+      }
+    }
+#endif
+    Bsdf bsdf;
+    const bool last = bounce >= params->max_bounces;
+    if (bounce > params->max_bounces) break;  // a delta lobe's extra ray only looks for light
+    bsdf_start(scene, &surface, wo, &bsdf);
+    if (bounce == 0) {
+      result.alpha = 1.0f;
+#if PENUMBRA_LAYERS
+      result.albedo = bsdf_albedo(&bsdf);
+      result.normal = surface.ns;
+      result.depth = hit.t;
+      result.object_id = object_of(scene, &surface);
+#endif
+    }
+    if (bsdf_has_smooth(&bsdf)) {
+      result.radiance += beta * direct_light(scene, params, sampler, &surface, &bsdf, bounce, ray.time, mis && !last,
+                                             &result.effects);
+    }
+#if PENUMBRA_INDIRECT
+    float3 wi, weight;
+    uint event;
+    const float u_lobe = sample_1d(sampler, DIM_BOUNCE(bounce, SLOT_LOBE));
+    const float2 u = sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION));
+    if (!bsdf_sample(&bsdf, u_lobe, u, &wi, &weight, &lobe_pdf, &event)) break;
+    delta = (event & BSDF_EVENT_DELTA) != 0u;
+    if (last && !delta) break;  // light samples had full weight here
+    beta *= weight;
+    result.effects |= (event & BSDF_EVENT_TRANSMIT) ? EFFECT_TRANSMISSION : (delta ? EFFECT_GLOSS : EFFECT_DIFFUSE);
+    const float throughput = beta.x + beta.y + beta.z;
+    if (!(throughput > 0.0f)) {
+      if (throughput != throughput) result.radiance = beta;  // a NaN must be counted, not lost
+      break;
+    }
+    if (!roulette(params, sampler, bounce, &beta)) break;
+    from = surface.p;
+    ray = spawn_ray(&surface, wi, ray.time);
+#else
+    break;
+#endif
+  }
+  return result;
+}

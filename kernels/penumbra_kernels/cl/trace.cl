@@ -1,0 +1,238 @@
+// The tracer's one kernel: for a tile, every replicate and an aligned power-of-two range of sample indices, the sum node.
+//
+// Reads: params, the scene's buffers. Writes: sums (and layers), one entry per (replicate, pixel of the tile), replicate
+// slowest, then rows. Runs: one work-item per `items_per_group` consecutive entries; the host splits a node into launches by
+// the global offset, which changes nothing in the result. Who is next: the host merges nodes (nodes.py).
+//
+// This file alone decides which effects a program has, by 0/1 macros; every argument stands in tracer.py's table in the same
+// order under the same conditions.
+#include "base/types.h"
+#include "base/effects.h"
+#include "film/filter.cl"
+#include "camera/camera.cl"
+#include "integrators/path.cl"
+
+#define MAX_LEVELS 9  // nodes of up to 2^8 samples are summed here, pairwise
+
+// Adds sample number i to the partial sums of a binary tree over sample indices: after 2^k samples level k holds their sum,
+// each parent the sum of its two children in index order.
+static inline void tree_add(float4 *levels, const uint i, float4 value) {
+  uint level = 0;
+  for (; (i >> level) & 1u; level++) value = levels[level] + value;
+  levels[level] = value;
+}
+
+static inline uint level_of(const uint count) { return CTZ(count); }
+
+static inline bool is_valid(const float3 c) {
+  return is_finite(c.x) && is_finite(c.y) && is_finite(c.z) && c.x >= 0.0f && c.y >= 0.0f && c.z >= 0.0f;
+}
+
+static inline Ray start_ray(const __global Params *params, const __global float *filter_table,
+                            const __global float *shutter_table, const __global Keyframe *keyframes,
+                            const Sampler *sampler, const uint x, const uint y, float *weight) {
+  const float2 offset = filter_sample(filter_table, params->filter_radius, sample_2d(sampler, DIM_PIXEL), weight);
+  const float2 film = (float2)(((float)x + 0.5f + offset.x) / (float)params->film_width,
+                               ((float)y + 0.5f + offset.y) / (float)params->film_height);
+#if PENUMBRA_LENS
+  const float2 lens = sample_2d(sampler, DIM_LENS);
+#else
+  const float2 lens = (float2)(0.5f);
+#endif
+#if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION
+  const float time = camera_time(&params->camera, shutter_table, sample_1d(sampler, DIM_TIME));
+#else
+  const float time = params->camera.shutter_open;
+#endif
+  return camera_ray(&params->camera, keyframes, film, lens, time);
+}
+
+// What a node gathers for one pixel and replicate.
+typedef struct {
+  float4 levels[MAX_LEVELS];
+  uint taken, lit, rejected, rejected_in;
+#if PENUMBRA_LAYERS
+  float4 albedo_depth[MAX_LEVELS];
+  float4 normal[MAX_LEVELS];
+  uint object_id;
+#endif
+} Gather;
+
+// One camera path's value; counts it.
+static inline float4 take_sample(const SceneData *scene, const __global Params *params,
+                                 const __global float *filter_table, const __global float *shutter_table,
+                                 const Sampler *sampler, const uint x, const uint y, Gather *gather, PathSample *path) {
+  float weight;
+  const Ray ray = start_ray(params, filter_table, shutter_table, scene->keyframes, sampler, x, y, &weight);
+  *path = trace_path(scene, params, sampler, ray);
+  path->depth *= dot3(ray.d, (float3)(-params->camera.world_from_camera[0][2], -params->camera.world_from_camera[1][2],
+                                      -params->camera.world_from_camera[2][2]));
+  const float3 c = path->radiance;
+  if (!is_valid(c)) {
+    gather->rejected++;
+    gather->rejected_in |= path->effects;
+    return (float4)(0.0f);
+  }
+  gather->taken++;
+  gather->lit += max3(c) > 0.0f ? 1u : 0u;
+  return (float4)(c * weight, path->alpha * weight);
+}
+
+static inline void gather_layers(Gather *gather, const uint i, const PathSample *path) {
+#if PENUMBRA_LAYERS
+  tree_add(gather->albedo_depth, i, (float4)(path->albedo, path->depth));
+  tree_add(gather->normal, i, (float4)(path->normal, 0.0f));
+  if (i == 0) gather->object_id = path->object_id;
+#endif
+}
+
+__kernel void trace(const __global Params *params, const __global float *filter_table,
+                    const __global float *shutter_table, const __global Node8 *nodes, const __global Packet8 *packets,
+                    const __global ShapeData *shapes, const __global TriangleData *triangles,
+                    const __global float *positions, const __global float *normals, const __global float *uvs,
+                    const __global Material *materials, const __global Light *lights,
+#if PENUMBRA_GLOSS
+                    const __global float *albedo_table,
+#endif
+#if PENUMBRA_ROUND
+                    const __global SphereData *spheres, const __global DiscData *discs,
+                    const __global PlaneData *planes,
+#endif
+#if PENUMBRA_INSTANCING
+                    const __global Instance *instances,
+#endif
+#if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION
+                    const __global Keyframe *keyframes,
+#endif
+#if PENUMBRA_DEFORMATION
+                    const __global float *times,
+#endif
+#if PENUMBRA_TEXTURES
+                    const __global Texture *textures, const __global float4 *texels,
+#endif
+#if PENUMBRA_MANY_LIGHTS
+                    const __global Alias *light_table,
+#endif
+#if PENUMBRA_AREA_LIGHTS
+                    const __global float *emitter_cdf,
+#endif
+#if PENUMBRA_ENVIRONMENT
+                    const __global float4 *environment,
+#endif
+#if PENUMBRA_SAMPLER == SAMPLER_RANDOM
+                    const __global ushort *counts,
+#endif
+#if PENUMBRA_LAYERS
+                    __global Layers *layers,
+#endif
+                    __global Sum *sums) {
+  SceneData scene;
+  scene.nodes = nodes;
+  scene.packets = packets;
+  scene.shapes = shapes;
+  scene.triangles = triangles;
+  scene.positions = positions;
+  scene.normals = normals;
+  scene.uvs = uvs;
+  scene.materials = materials;
+  scene.lights = lights;
+  scene.albedo_table = 0;
+  scene.spheres = 0;
+  scene.discs = 0;
+  scene.planes = 0;
+  scene.instances = 0;
+  scene.keyframes = 0;
+  scene.times = 0;
+  scene.textures = 0;
+  scene.texels = 0;
+  scene.light_table = 0;
+  scene.emitter_cdf = 0;
+  scene.environment = 0;
+#if PENUMBRA_GLOSS
+  scene.albedo_table = albedo_table;
+#endif
+#if PENUMBRA_ROUND
+  scene.spheres = spheres;
+  scene.discs = discs;
+  scene.planes = planes;
+#endif
+#if PENUMBRA_INSTANCING
+  scene.instances = instances;
+#endif
+#if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION
+  scene.keyframes = keyframes;
+#endif
+#if PENUMBRA_DEFORMATION
+  scene.times = times;
+#endif
+#if PENUMBRA_TEXTURES
+  scene.textures = textures;
+  scene.texels = texels;
+#endif
+#if PENUMBRA_MANY_LIGHTS
+  scene.light_table = light_table;
+#endif
+#if PENUMBRA_AREA_LIGHTS
+  scene.emitter_cdf = emitter_cdf;
+#endif
+#if PENUMBRA_ENVIRONMENT
+  scene.environment = environment;
+#endif
+  scene.plane_count = params->plane_count;
+  scene.light_count = params->light_count;
+  scene.root = params->root;
+  scene.environment_light = params->environment_light;
+
+  const uint pixels = params->tile_width * params->tile_height;
+  const uint first = (uint)get_global_id(0) * params->items_per_group;
+  const uint end = MIN(first + params->items_per_group, params->item_count);
+  for (uint item = first; item < end; item++) {
+    const uint replicate = item / pixels;
+    const uint pixel = item - replicate * pixels;
+    const uint x = params->tile_x + pixel % params->tile_width;
+    const uint y = params->tile_y + pixel / params->tile_width;
+    Sampler sampler = sampler_start(params, x, y, params->first_replicate + replicate);
+    Gather gather;
+    gather.taken = gather.lit = gather.rejected = gather.rejected_in = 0u;
+    for (uint i = 0; i < params->sample_count; i++) {
+      PathSample path;
+#if PENUMBRA_SAMPLER == SAMPLER_RANDOM
+      const uint count = counts[((ulong)replicate * params->sample_count + i) * pixels + pixel];
+      float4 value = (float4)(0.0f);
+      path.albedo = path.normal = (float3)(0.0f);
+      path.depth = 0.0f;
+      path.object_id = 0u;
+      for (uint k = 0; k < count; k++) {
+        sampler_next_of(&sampler, params->first_sample + i, k);
+        value += take_sample(&scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
+      }
+#else
+      sampler_next(&sampler, params->first_sample + i);
+      const float4 value = take_sample(&scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
+#endif
+      tree_add(gather.levels, i, value);
+      gather_layers(&gather, i, &path);
+    }
+    const uint top = level_of(params->sample_count);
+    __global Sum *out = sums + item;
+    out->rgba[0] = gather.levels[top].x;
+    out->rgba[1] = gather.levels[top].y;
+    out->rgba[2] = gather.levels[top].z;
+    out->rgba[3] = gather.levels[top].w;
+    out->taken = gather.taken;
+    out->lit = gather.lit;
+    out->rejected = gather.rejected;
+    out->rejected_in = gather.rejected_in;
+#if PENUMBRA_LAYERS
+    __global Layers *layer = layers + item;
+    layer->albedo_depth[0] = gather.albedo_depth[top].x;
+    layer->albedo_depth[1] = gather.albedo_depth[top].y;
+    layer->albedo_depth[2] = gather.albedo_depth[top].z;
+    layer->albedo_depth[3] = gather.albedo_depth[top].w;
+    layer->normal[0] = gather.normal[top].x;
+    layer->normal[1] = gather.normal[top].y;
+    layer->normal[2] = gather.normal[top].z;
+    layer->object_id = gather.object_id;
+#endif
+  }
+}

@@ -1,0 +1,245 @@
+"""Which effects a scene calls for: scene -> set of effects -> the 0/1 prologue of a program.
+
+Pure: looks at the scene alone. Flags are coarse and few; counts, sizes, seeds and sample numbers never reach a program's
+text. An effect is in only where something that the camera or a light can reach uses it, and it says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from penumbra_scene.camera import Camera
+from penumbra_scene.materials import Material, TextureRef
+from penumbra_scene.scene import Scene
+from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Shape, Sphere
+from penumbra_scene.transforms import Transform
+
+from penumbra_kernels.compile.transforms import is_similarity, keyframes_of, matrix_at
+from penumbra_kernels.layout import CONSTANTS
+
+EFFECTS: Final = (
+    "lens",
+    "camera_motion",
+    "motion",
+    "deformation",
+    "instancing",
+    "round",
+    "area_lights",
+    "delta_lights",
+    "many_lights",
+    "environment",
+    "environment_image",
+    "gloss",
+    "transmission",
+    "textures",
+    "indirect",
+    "layers",
+)
+"""Every effect that a program can do without, by the name of its PENUMBRA_* flag in lower case."""
+
+GLOSSY: Final = frozenset({"phong", "mirror", "conductor", "plastic", "dielectric", "thin_dielectric"})
+TRANSMITTING: Final = frozenset({"dielectric", "thin_dielectric", "diffuse_transmission"})
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One effect's verdict."""
+
+    name: str
+    present: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Features:
+    """The verdict on every effect, in the order of EFFECTS, and the words that are not 0/1."""
+
+    verdicts: tuple[Feature, ...]
+    sampler: str
+    area_sampling: bool
+
+    def __contains__(self, name: str) -> bool:
+        return any(v.name == name and v.present for v in self.verdicts)
+
+    @property
+    def present(self) -> tuple[str, ...]:
+        return tuple(v.name for v in self.verdicts if v.present)
+
+    def flags(self) -> dict[str, int]:
+        """Macros of the program that has just these effects."""
+        return self._flags({v.name: v.present for v in self.verdicts})
+
+    def generic_flags(self) -> dict[str, int]:
+        """Macros of the program that has every effect; layers stay as asked, since they change what is written."""
+        return self._flags({v.name: v.present if v.name == "layers" else True for v in self.verdicts})
+
+    def _flags(self, present: dict[str, bool]) -> dict[str, int]:
+        flags = {f"PENUMBRA_{name.upper()}": int(present[name]) for name in EFFECTS}
+        flags["PENUMBRA_SAMPLER"] = CONSTANTS[f"SAMPLER_{self.sampler.upper()}"]
+        flags["PENUMBRA_LIGHT_AREA_SAMPLING"] = int(self.area_sampling)
+        return flags
+
+
+def analyse(scene: Scene, time: float = 0.0) -> Features:
+    """Decide on every effect for the frame at `time` seconds."""
+    reasons = {name: next(_reasons(name, scene, time), "") for name in EFFECTS}
+    verdicts = tuple(Feature(name, bool(reason), reason or "nothing uses it") for name, reason in reasons.items())
+    return Features(verdicts, scene.sampler.type, scene.integrator.light_sampling == "area")
+
+
+def _reasons(effect: str, scene: Scene, time: float) -> Iterator[str]:
+    return iter(_FINDERS[effect](scene, time))
+
+
+def _moves(transform: Transform, camera: Camera, time: float) -> bool:
+    shutter = camera.shutter
+    return keyframes_of(transform, time, shutter.open, shutter.close) is not None
+
+
+def _where(kind: str, index: int, name: str | None) -> str:
+    return f"{kind}/{index}" + (f" ({name})" if name else "")
+
+
+def _shapes(scene: Scene) -> Iterator[tuple[str, Shape | Sphere | Quad | Disc | Mesh]]:
+    """Every shape that is really placed in the scene, with where it stands."""
+    used = set()
+    for i, shape in enumerate(scene.shapes):
+        yield _where("shapes", i, shape.name), shape
+        if isinstance(shape, Instance):
+            used.add(shape.prototype)
+    for name in sorted(used & scene.prototypes.keys()):
+        for i, shape in enumerate(scene.prototypes[name]):
+            yield f"prototypes/{name}/{i}", shape
+
+
+def _materials(scene: Scene) -> Iterator[tuple[str, Material]]:
+    names = {s.material for _, s in _shapes(scene) if not isinstance(s, Instance) and s.material is not None}
+    for name in sorted(names & scene.materials.keys()):
+        yield f"materials/{name}", scene.materials[name]
+
+
+def _lens(scene: Scene, time: float) -> Iterable[str]:
+    if scene.camera.lens.aperture_radius > 0:
+        yield f"camera/lens/aperture_radius is {scene.camera.lens.aperture_radius:g} m"
+
+
+def _camera_motion(scene: Scene, time: float) -> Iterable[str]:
+    if _moves(scene.camera.transform, scene.camera, time):
+        yield "camera/transform moves while the shutter is open"
+
+
+def _motion(scene: Scene, time: float) -> Iterable[str]:
+    for where, shape in _shapes(scene):
+        if _moves(shape.transform, scene.camera, time):
+            yield f"{where} moves while the shutter is open"
+    for i, light in enumerate(scene.lights):
+        if _moves(light.transform, scene.camera, time):
+            yield f"{_where('lights', i, light.name)} moves while the shutter is open"
+
+
+def _deformation(scene: Scene, time: float) -> Iterable[str]:
+    for where, shape in _shapes(scene):
+        if isinstance(shape, Mesh) and shape.deformation is not None and scene.camera.shutter.close > scene.camera.shutter.open:
+            yield f"{where} deforms while the shutter is open"
+
+
+def _instancing(scene: Scene, time: float) -> Iterable[str]:
+    for where, shape in _shapes(scene):
+        if isinstance(shape, Instance):
+            yield f"{where} is an instance"
+        elif not isinstance(shape, Plane) and _moves(shape.transform, scene.camera, time):
+            yield f"{where} moves"
+        elif isinstance(shape, Sphere) and not is_similarity(matrix_at(shape.transform, time)):
+            yield f"{where} is a stretched sphere"
+
+
+def _round(scene: Scene, time: float) -> Iterable[str]:
+    for where, shape in _shapes(scene):
+        if isinstance(shape, (Sphere, Disc, Plane)):
+            yield f"{where} is a {shape.type}"
+
+
+def _emitters(scene: Scene) -> Iterator[str]:
+    for where, shape in _shapes(scene):
+        if isinstance(shape, (Sphere, Quad, Disc, Mesh)) and shape.emission is not None:
+            yield where
+
+
+def _area_lights(scene: Scene, time: float) -> Iterable[str]:
+    for where in _emitters(scene):
+        yield f"{where} emits"
+
+
+def _delta_lights(scene: Scene, time: float) -> Iterable[str]:
+    for i, light in enumerate(scene.lights):
+        yield f"{_where('lights', i, light.name)} is a {light.type} light"
+
+
+def _many_lights(scene: Scene, time: float) -> Iterable[str]:
+    count = len(list(_emitters(scene))) + len(scene.lights) + (scene.environment is not None)
+    if count > 1:
+        yield f"there are {count} lights to choose from"
+
+
+def _environment(scene: Scene, time: float) -> Iterable[str]:
+    if scene.environment is not None:
+        yield f"environment is {scene.environment.type}"
+
+
+def _environment_image(scene: Scene, time: float) -> Iterable[str]:
+    if scene.environment is not None and scene.environment.type == "image":
+        yield "environment is an image"
+
+
+def _gloss(scene: Scene, time: float) -> Iterable[str]:
+    for where, material in _materials(scene):
+        if material.type in GLOSSY:
+            yield f"{where} is {material.type}"
+
+
+def _transmission(scene: Scene, time: float) -> Iterable[str]:
+    for where, material in _materials(scene):
+        if material.type in TRANSMITTING:
+            yield f"{where} transmits"
+
+
+def _textures(scene: Scene, time: float) -> Iterable[str]:
+    for where, material in _materials(scene):
+        for key in type(material).model_fields:
+            value = getattr(material, key)
+            if isinstance(value, TextureRef):
+                yield f"{where}/{key} is the texture {value.texture}"
+
+
+def _indirect(scene: Scene, time: float) -> Iterable[str]:
+    if scene.integrator.max_bounces > 0:
+        yield f"integrator/max_bounces is {scene.integrator.max_bounces}"
+    for reason in _gloss(scene, time):
+        yield f"{reason}: mirrors show lights even without bounces"
+
+
+def _layers(scene: Scene, time: float) -> Iterable[str]:
+    if scene.film.layers:
+        yield f"film/layers asks for {', '.join(scene.film.layers)}"
+
+
+_FINDERS: Final = {
+    "lens": _lens,
+    "camera_motion": _camera_motion,
+    "motion": _motion,
+    "deformation": _deformation,
+    "instancing": _instancing,
+    "round": _round,
+    "area_lights": _area_lights,
+    "delta_lights": _delta_lights,
+    "many_lights": _many_lights,
+    "environment": _environment,
+    "environment_image": _environment_image,
+    "gloss": _gloss,
+    "transmission": _transmission,
+    "textures": _textures,
+    "indirect": _indirect,
+    "layers": _layers,
+}

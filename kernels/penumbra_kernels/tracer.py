@@ -1,0 +1,172 @@
+"""Tracing sum nodes on one device: uploads a compiled scene, picks its program, launches, merges."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from penumbra_kernels.layout import CONSTANTS, LAYERS, SUM
+from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, merge
+
+if TYPE_CHECKING:
+    from penumbra_kernels.compile.scene import CompiledScene
+    from penumbra_kernels.device import Device
+
+LAUNCH_SECONDS: Final = 0.05
+"""Display drivers kill longer launches."""
+ITEMS_PER_GROUP: Final = 16
+"""(pixel, replicate) pairs that a work-item of a CPU loops over: private arrays live once per work-item."""
+
+Flags = Mapping[str, int]
+
+
+def _has(flag: str) -> Callable[[Flags], bool]:
+    return lambda flags: bool(flags[f"PENUMBRA_{flag}"])
+
+
+def _always(flags: Flags) -> bool:
+    return True
+
+
+ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
+    ("params", _always),
+    ("filter_table", _always),
+    ("shutter_table", _always),
+    ("nodes", _always),
+    ("packets", _always),
+    ("shapes", _always),
+    ("triangles", _always),
+    ("positions", _always),
+    ("normals", _always),
+    ("uvs", _always),
+    ("materials", _always),
+    ("lights", _always),
+    ("albedo_table", _has("GLOSS")),
+    ("spheres", _has("ROUND")),
+    ("discs", _has("ROUND")),
+    ("planes", _has("ROUND")),
+    ("instances", _has("INSTANCING")),
+    ("keyframes", lambda flags: bool(flags["PENUMBRA_MOTION"] or flags["PENUMBRA_CAMERA_MOTION"])),
+    ("times", _has("DEFORMATION")),
+    ("textures", _has("TEXTURES")),
+    ("texels", _has("TEXTURES")),
+    ("light_table", _has("MANY_LIGHTS")),
+    ("emitter_cdf", _has("AREA_LIGHTS")),
+    ("environment", _has("ENVIRONMENT")),
+    ("counts", lambda flags: flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]),
+    ("layers", _has("LAYERS")),
+    ("sums", _always),
+)
+"""trace.cl's arguments in order, each with the condition under which the program has it."""
+
+PER_LAUNCH: Final = frozenset({"params", "counts", "layers", "sums"})
+
+
+@dataclass(frozen=True)
+class SamplePlan:
+    """How samples are laid out over a pixel; part of what determines the bits."""
+
+    replicates: int
+    strata: int = 0
+    """Planned samples a replicate, 0 where that is not known beforehand."""
+
+
+class Tracer:
+    """A scene on a device. `program` picks the effects that are compiled in: just the scene's ('specialised') or all
+    ('generic'); the bits are the same."""
+
+    def __init__(
+        self, device: Device, compiled: CompiledScene, plan: SamplePlan, *, program: str = "specialised"
+    ) -> None:
+        self.device = device
+        self.compiled = compiled
+        self.plan = plan
+        features = compiled.features
+        self.flags = features.flags() if program == "specialised" else features.generic_flags()
+        started = time.perf_counter()
+        builds = device.builds
+        self._kernel = device.build("trace.cl", self.flags).trace
+        self.compile_seconds = time.perf_counter() - started
+        self.compiled_cold = device.builds > builds
+        started = time.perf_counter()
+        self._buffers = {
+            name: device.upload(compiled.arrays[name])
+            for name, present in ARGUMENTS
+            if present(self.flags) and name not in PER_LAUNCH
+        }
+        self.upload_seconds = time.perf_counter() - started
+        self._params = compiled.params.copy()
+        self._params["replicate_count"] = plan.replicates
+        self._params["strata"] = plan.strata
+        self._params["log2_samples"] = max(plan.strata - 1, 0).bit_length() if plan.strata else 32
+        self._items_per_second = 0.0
+
+    def trace(self, tile: Tile, first_sample: int, sample_count: int) -> SumNode:
+        """The sum node of an aligned power-of-two range of samples, for every replicate.
+
+        Work beyond FLOAT32_SAMPLES samples is done in such pieces and merged.
+        """
+        if sample_count > FLOAT32_SAMPLES:
+            half = sample_count // 2
+            left = self.trace(tile, first_sample, half)
+            return merge(left, self.trace(tile, first_sample + half, half))
+        return self._launch(tile, first_sample, sample_count)
+
+    def _launch(self, tile: Tile, first_sample: int, sample_count: int) -> SumNode:
+        replicates = self.plan.replicates
+        shape = (replicates, tile.height, tile.width)
+        items = replicates * tile.height * tile.width
+        params = self._params
+        params["tile_x"], params["tile_y"] = tile.x, tile.y
+        params["tile_width"], params["tile_height"] = tile.width, tile.height
+        params["first_sample"], params["sample_count"] = first_sample, sample_count
+        params["items_per_group"] = ITEMS_PER_GROUP if self.device.info.kind == "cpu" else 1
+        params["item_count"] = items
+        sums = np.empty(shape, SUM)
+        layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
+        buffers = dict(self._buffers)
+        buffers["params"] = self.device.upload(params)
+        buffers["sums"] = self.device.allocate(sums.nbytes)
+        if layers is not None:
+            buffers["layers"] = self.device.allocate(layers.nbytes)
+        if self.flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]:
+            buffers["counts"] = self.device.upload(self._counts(tile, first_sample, sample_count))
+        self._kernel.set_args(*(buffers[name] for name, present in ARGUMENTS if present(self.flags)))
+        self._run(items, int(params["items_per_group"]), sample_count)
+        self.device.download(buffers["sums"], sums)
+        if layers is not None:
+            self.device.download(buffers["layers"], layers)
+        return SumNode(tile, first_sample, sample_count, sums, layers)
+
+    def _run(self, items: int, per_group: int, sample_count: int) -> None:
+        """Launch all groups, in slices of about LAUNCH_SECONDS at the rate measured so far."""
+        groups = -(-items // per_group)
+        local = 1 if self.device.info.kind == "cpu" else 64
+        at = 0
+        while at < groups:
+            rate = self._items_per_second / sample_count
+            count = max(int(rate * LAUNCH_SECONDS / per_group), 64) if rate else 64
+            count = min(-(-count // local) * local, -(-(groups - at) // local) * local)
+            started = time.perf_counter()
+            self.device.launch(self._kernel, count, local, at)
+            elapsed = max(time.perf_counter() - started, 1e-6)
+            self._items_per_second = min(count, groups - at) * per_group * sample_count / elapsed
+            at += count
+
+    def _counts(self, tile: Tile, first_sample: int, sample_count: int) -> np.ndarray[Any, Any]:
+        from penumbra_kernels.sampling.random_plane import counts
+
+        params = self._params
+        return counts(
+            int(params["seed"]),
+            int(params["film_width"]),
+            int(params["film_height"]),
+            tile,
+            self.plan.replicates,
+            first_sample,
+            sample_count,
+        )
