@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import StringConstraints, model_validator
 
-from penumbra_scene.base import Model
+from penumbra_scene.base import Model, error_at
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^sha256:[0-9a-f]{64}$")]
 
 
+def _leaves_folder(path: str) -> bool:
+    parts = path.replace("\\", "/").split("/")
+    return parts[0] == "" or ":" in parts[0] or ".." in parts or "\0" in path
+
+
 class AssetRef(Model):
-    """Exactly one of `asset` and `file`. The service accepts `asset` only; the command line uploads files for you."""
+    """Exactly one of `asset` and `file`. The service takes `asset` only; the command line uploads files."""
 
     asset: Sha256 | None = None
     file: Annotated[str, StringConstraints(min_length=1, max_length=1024)] | None = None
     """A path relative to the scene's own folder, which it must not leave."""
 
     @model_validator(mode="after")
-    def _one_source(self) -> Any:
+    def _one_source(self) -> AssetRef:
         if (self.asset is None) == (self.file is None):
-            raise ValueError("give exactly one of asset (sha256:...) and file")
-        if self.file is not None and (self.file.startswith(("/", "\\")) or ".." in self.file.replace("\\", "/").split("/")):
-            raise ValueError("file must stay inside the scene's folder: no absolute path, no '..'")
+            raise error_at("", "give exactly one of asset (sha256:...) and file")
+        if self.file is not None and _leaves_folder(self.file):
+            raise error_at(
+                "/file", "must stay inside the scene's folder: no absolute path, drive, '..' or NUL"
+            )
         return self

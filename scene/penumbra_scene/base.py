@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+from pydantic_core import PydanticCustomError
 
 from penumbra_scene import limits
 
@@ -18,20 +19,29 @@ class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
-def _reject_booleans_and_strings(value: Any) -> Any:
+def error_at(pointer: str, message: str) -> PydanticCustomError:
+    """An error for a model's validator to raise that blames `pointer` ('/indices/3') within that model."""
+    return PydanticCustomError("inconsistent", "{message}", {"at": pointer, "message": message})
+
+
+def _reject_boolean(value: Any) -> Any:
+    """Python takes True for 1; a document that says true where a number belongs is wrong."""
     if isinstance(value, (bool, str)):
-        raise ValueError("must be a number")
+        raise PydanticCustomError("not_a_number", "must be a number")
     return value
 
 
-_Number = BeforeValidator(_reject_booleans_and_strings)
+NotBoolean = BeforeValidator(_reject_boolean)
 
-Float = Annotated[float, _Number, Field(ge=-limits.MAX_MAGNITUDE, le=limits.MAX_MAGNITUDE)]
+# `strict` refuses booleans and strings and still takes 1 for 1.0, without calling Python for each number.
+Float = Annotated[float, Field(strict=True, ge=-limits.MAX_MAGNITUDE, le=limits.MAX_MAGNITUDE)]
 """A finite number that float32 arithmetic can square."""
-Positive = Annotated[float, _Number, Field(gt=0, le=limits.MAX_MAGNITUDE)]
-NonNegative = Annotated[float, _Number, Field(ge=0, le=limits.MAX_MAGNITUDE)]
-Unit = Annotated[float, _Number, Field(ge=0, le=1)]
-Integer = Annotated[int, _Number]
+Positive = Annotated[float, Field(strict=True, gt=0, le=limits.MAX_MAGNITUDE)]
+NonNegative = Annotated[float, Field(strict=True, ge=0, le=limits.MAX_MAGNITUDE)]
+Unit = Annotated[float, Field(strict=True, ge=0, le=1)]
+Integer = Annotated[int, NotBoolean]
+"""A whole number; 3.0 is one as well."""
+Bool = Annotated[bool, Field(strict=True)]
 
 Vec3 = tuple[Float, Float, Float]
 Vec2 = tuple[Float, Float]
@@ -39,7 +49,9 @@ Vec2 = tuple[Float, Float]
 
 def _nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     if max(abs(x) for x in vector) < limits.MIN_DIRECTION:
-        raise ValueError(f"must have a component of at least {limits.MIN_DIRECTION}")
+        raise PydanticCustomError(
+            "zero_direction", "must have a component of at least {least}", {"least": limits.MIN_DIRECTION}
+        )
     return vector
 
 
@@ -50,14 +62,17 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"
 """A name that other parts of the scene refer to."""
 
 
-def _spread_gray(value: Any) -> Any:
+def spread(value: Any) -> Any:
+    """One number stands for three equal ones."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return (value, value, value)
     return value
 
 
-Radiance = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_spread_gray)]
+_Light3 = tuple[NonNegative, NonNegative, NonNegative]
+Radiance = Annotated[_Light3, BeforeValidator(spread, json_schema_input_type=_Light3 | NonNegative)]
 """Emitted light, linear Rec.709; one number means gray. Unit: see the field."""
 
-Reflectance = Annotated[tuple[Unit, Unit, Unit], BeforeValidator(_spread_gray)]
+_Unit3 = tuple[Unit, Unit, Unit]
+Reflectance = Annotated[_Unit3, BeforeValidator(spread, json_schema_input_type=_Unit3 | Unit)]
 """A reflectance, linear Rec.709, each channel in [0, 1]; one number means gray."""

@@ -1,4 +1,4 @@
-"""Cameras. They look along their own -Z axis, X right, Y up (as in glTF), and are placed by their transform."""
+"""Cameras look along their own -Z axis, X right, Y up (as in glTF), and are placed by their transform."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from penumbra_scene.base import Float, Integer, Model, NonNegative, Positive
+from penumbra_scene.base import Float, Integer, Model, NonNegative, Positive, error_at
 from penumbra_scene.transforms import Transform
 
 
@@ -25,7 +25,7 @@ class Lens(Model):
     @model_validator(mode="after")
     def _polygon(self) -> Lens:
         if self.blades in (1, 2):
-            raise ValueError("blades must be 0 (a disc) or at least 3")
+            raise error_at("/blades", "must be 0 (a disc) or at least 3")
         return self
 
 
@@ -40,9 +40,9 @@ class Shutter(Model):
     @model_validator(mode="after")
     def _valid(self) -> Shutter:
         if self.close < self.open:
-            raise ValueError("close must not be before open")
+            raise error_at("/close", "close must not be before open")
         if not any(self.curve):
-            raise ValueError("curve must be above zero somewhere")
+            raise error_at("/curve", "must be above zero somewhere")
         return self
 
 

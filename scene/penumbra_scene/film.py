@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from penumbra_scene import limits
-from penumbra_scene.base import Float, Integer, Model, Positive
+from penumbra_scene.base import Bool, Float, Integer, Model, Positive, error_at
 
 Side = Annotated[Integer, Field(ge=1, le=limits.MAX_RESOLUTION)]
 
@@ -42,7 +42,8 @@ class BlackmanHarrisFilter(Model):
 
 
 Filter = Annotated[
-    BoxFilter | TentFilter | GaussianFilter | MitchellFilter | BlackmanHarrisFilter, Field(discriminator="type")
+    BoxFilter | TentFilter | GaussianFilter | MitchellFilter | BlackmanHarrisFilter,
+    Field(discriminator="type"),
 ]
 
 
@@ -73,22 +74,24 @@ class Film(Model):
     filter: Filter = BoxFilter(type="box")
     layers: Annotated[tuple[Literal["albedo", "normal", "depth"], ...], Field(max_length=3)] = ()
     """Layers of the first hit that the EXR carries besides the picture."""
-    half: bool = False
+    half: Bool = False
     """Store the picture's own R G B A as half floats; variance stays float."""
     thumbnail: Thumbnail = Thumbnail()
 
     @model_validator(mode="after")
     def _fits(self) -> Film:
         if self.width * self.height > limits.MAX_PIXELS and self.crop is None:
-            raise ValueError(f"width * height must be at most {limits.MAX_PIXELS} pixels")
+            raise error_at(
+                "", f"width * height must be at most {limits.MAX_PIXELS} pixels, or give a smaller crop"
+            )
         if self.crop is not None:
             c = self.crop
             if c.x + c.width > self.width or c.y + c.height > self.height:
-                raise ValueError(f"crop must lie inside the picture of {self.width} x {self.height} pixels")
+                raise error_at("/crop", f"must lie inside the picture of {self.width} x {self.height} pixels")
             if c.width * c.height > limits.MAX_PIXELS:
-                raise ValueError(f"crop must be at most {limits.MAX_PIXELS} pixels")
+                raise error_at("/crop", f"must be at most {limits.MAX_PIXELS} pixels")
         if len(set(self.layers)) != len(self.layers):
-            raise ValueError("layers must not repeat")
+            raise error_at("/layers", "must not repeat")
         return self
 
     @property

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from penumbra_scene.assets import AssetRef
-from penumbra_scene.base import Direction, Model, Name, NonNegative, Positive, Radiance, Vec3
+from penumbra_scene.base import Direction, Model, Name, NonNegative, Positive, Radiance, Vec3, error_at
 from penumbra_scene.transforms import Transform
 
 
@@ -37,7 +37,7 @@ class SpotLight(_Light):
     @model_validator(mode="after")
     def _cone(self) -> SpotLight:
         if self.inner_cone_angle > self.outer_cone_angle:
-            raise ValueError("inner_cone_angle must not exceed outer_cone_angle")
+            raise error_at("/inner_cone_angle", "must not exceed outer_cone_angle")
         return self
 
 

@@ -5,6 +5,7 @@ from typing import Final
 MAX_MAGNITUDE: Final = 1e18
 """Largest absolute value of any number in a scene: its square is still a float32."""
 MIN_DIRECTION: Final = 1e-18
+MIN_SCALE: Final = 1e-12
 MAX_PIXELS: Final = 64 * 1024 * 1024
 MAX_RESOLUTION: Final = 32768
 MAX_SAMPLES: Final = 1 << 30
@@ -17,6 +18,10 @@ MAX_TRIANGLES: Final = 50_000_000
 MAX_KEYFRAMES: Final = 4096
 MAX_TEXTURES: Final = 1024
 MAX_MATERIALS: Final = 65536
+MAX_PROTOTYPES: Final = 65536
+MAX_STEPS: Final = 64
+MAX_ERRORS: Final = 50
+"""Errors that one answer lists."""
 MAX_TEXTURE_SIDE: Final = 16384
 MAX_BODY_BYTES: Final = 64 * 1024 * 1024
 MAX_ASSET_BYTES: Final = 2 * 1024 * 1024 * 1024

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from penumbra_scene.base import Float, Model, Name, Positive, Reflectance, Unit
+from penumbra_scene.base import Bool, Float, Model, Name, Positive, Reflectance, Unit, error_at
 
 
 class TextureRef(Model):
@@ -27,7 +27,7 @@ Ior = Annotated[Positive, Field(ge=0.1, le=10)]
 
 
 class _Material(Model):
-    pass
+    """What every material has: nothing yet."""
 
 
 class _Rough(_Material):
@@ -37,7 +37,7 @@ class _Rough(_Material):
     """OpenPBR's specular_roughness_anisotropy: stretches highlights along the tangent."""
     rotation: Float = 0.0
     """Degrees by which the tangent is turned about the normal."""
-    energy_compensation: bool = True
+    energy_compensation: Bool = True
     """Give back the light that single scattering on rough microfacets loses (Kulla and Conty 2017)."""
 
 
@@ -69,7 +69,7 @@ class Conductor(_Rough):
 
     type: Literal["conductor"]
     base_color: Color = (0.9, 0.9, 0.9)
-    fresnel: bool = True
+    fresnel: Bool = True
     """False keeps base_color at every angle."""
 
 
@@ -82,7 +82,7 @@ class Plastic(_Rough):
 
 
 class Dielectric(_Rough):
-    """Glass, water: GGX microfacets that reflect and refract (Walter et al. 2007). Normals point out of the body."""
+    """Glass, water: GGX microfacets that reflect and refract (Walter et al. 2007); normals point outwards."""
 
     type: Literal["dielectric"]
     roughness: Unit = 0.0
@@ -107,7 +107,16 @@ class DiffuseTransmission(_Material):
     type: Literal["diffuse_transmission"]
     reflectance: Color = (0.4, 0.4, 0.4)
     transmittance: Color = (0.4, 0.4, 0.4)
-    """reflectance + transmittance must not exceed 1 in any channel (textures are scaled down where they would)."""
+    """reflectance + transmittance must not exceed 1 in any channel (textures are scaled down there)."""
+
+    @model_validator(mode="after")
+    def _conserves_energy(self) -> DiffuseTransmission:
+        if isinstance(self.reflectance, TextureRef) or isinstance(self.transmittance, TextureRef):
+            return self
+        # The slack is for decimals such as 0.3 + 0.7, whose doubles may add up to one ulp above 1.
+        if any(r + t > 1 + 1e-12 for r, t in zip(self.reflectance, self.transmittance, strict=True)):
+            raise error_at("/transmittance", "reflectance + transmittance must not exceed 1 in any channel")
+        return self
 
 
 Material = Annotated[

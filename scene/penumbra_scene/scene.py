@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from penumbra_scene import limits
-from penumbra_scene.base import Model, Name
+from penumbra_scene.base import Model, Name, NotBoolean
 from penumbra_scene.camera import Camera
 from penumbra_scene.film import Film
 from penumbra_scene.lights import Environment, Light
@@ -16,11 +16,13 @@ from penumbra_scene.settings import Integrator, Sampler, Stop
 from penumbra_scene.shapes import PrototypeShape, Shape
 from penumbra_scene.textures import Texture
 
+Prototype = Annotated[tuple[PrototypeShape, ...], Field(min_length=1, max_length=limits.MAX_SHAPES)]
+
 
 class Scene(Model):
     """Metres, seconds, degrees; right-handed, Y up; linear Rec.709."""
 
-    version: Literal[1]
+    version: Annotated[Literal[1], NotBoolean]
     """Of this format."""
     name: Name = "untitled"
     camera: Camera
@@ -28,9 +30,16 @@ class Scene(Model):
     integrator: Integrator = Integrator()
     sampler: Sampler = Sampler()
     stop: Stop = Stop()
-    textures: Annotated[dict[Name, Texture], Field(max_length=limits.MAX_TEXTURES)] = {}
-    materials: Annotated[dict[Name, Material], Field(max_length=limits.MAX_MATERIALS)] = {}
-    prototypes: dict[Name, Annotated[tuple[PrototypeShape, ...], Field(min_length=1)]] = {}
+    textures: Annotated[dict[Name, Texture], Field(max_length=limits.MAX_TEXTURES)] = Field(
+        default_factory=dict
+    )
+    materials: Annotated[dict[Name, Material], Field(max_length=limits.MAX_MATERIALS)] = Field(
+        default_factory=dict
+    )
+    prototypes: Annotated[dict[Name, Prototype], Field(max_length=limits.MAX_PROTOTYPES)] = Field(
+        default_factory=dict
+    )
+    """Groups of shapes, stored once, that instances place."""
     shapes: Annotated[tuple[Shape, ...], Field(max_length=limits.MAX_SHAPES)] = ()
     lights: Annotated[tuple[Light, ...], Field(max_length=limits.MAX_LIGHTS)] = ()
     environment: Environment | None = None

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
 
 from penumbra_scene import limits
-from penumbra_scene.base import Integer, Model, Positive
+from penumbra_scene.base import Bool, Integer, Model, NotBoolean, Positive
 
 
 class Integrator(Model):
@@ -23,27 +24,42 @@ class Integrator(Model):
     """Shadow rays per light (all), or picks per hit (uniform, power)."""
     light_sampling: Literal["solid_angle", "area"] = "solid_angle"
     """The density on an area light: uniform in the solid angle that it subtends, or uniform over its area."""
-    mis: bool = True
-    """Weigh light samples against lobe samples (Veach's power heuristic). False: area lights by light samples only."""
+    mis: Bool = True
+    """Weigh light samples against lobe samples (Veach's power heuristic); without it, light samples only."""
+
+
+_SeedText = Annotated[str, StringConstraints(pattern=r"^[0-9]{1,20}$")]
 
 
 def _seed(value: Any) -> Any:
     if isinstance(value, bool):
-        raise ValueError("must be an integer from 0 to 2^64-1, or the same as a string")
+        raise PydanticCustomError("seed", "must be an integer from 0 to 2^64-1, or the same as a string")
     if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20:
         return int(value)
     return value
 
 
-Seed = Annotated[int, BeforeValidator(_seed), Field(ge=0, lt=2**64)]
+def _seed_to_json(seed: int) -> int | str:
+    """JavaScript and many others read JSON numbers as doubles, which are exact up to 2^53 only."""
+    return seed if seed <= 2**53 else str(seed)
+
+
+Seed = Annotated[
+    int,
+    Field(ge=0, lt=2**64),
+    BeforeValidator(_seed, json_schema_input_type=Annotated[int, Field(ge=0, lt=2**64)] | _SeedText),
+    PlainSerializer(_seed_to_json, return_type=int | str, when_used="json"),
+]
 """64 bits; write large ones as strings, since JSON numbers lose bits beyond 2^53."""
 
 
 class Sampler(Model):
-    type: Literal["regular", "random", "independent", "stratified", "jittered", "sobol", "blue_noise"] = "sobol"
+    type: Literal["regular", "random", "independent", "stratified", "jittered", "sobol", "blue_noise"] = (
+        "sobol"
+    )
     seed: Seed = 0
-    replicates: Literal[1, 2, 4, 8, 16] | None = None
-    """Independent replicates a pixel, from whose spread the variance is estimated; default 8 (fewer for few samples)."""
+    replicates: Annotated[Literal[1, 2, 4, 8, 16], NotBoolean] | None = None
+    """Independent replicates a pixel: their spread is the variance. Default 8, fewer for few samples."""
 
 
 class Stop(Model):
@@ -60,6 +76,8 @@ class Stop(Model):
     @model_validator(mode="before")
     @classmethod
     def _some_rule(cls, data: Any) -> Any:
-        if isinstance(data, dict) and not any(data.get(k) is not None for k in ("samples", "seconds", "relative_error")):
+        if isinstance(data, dict) and not any(
+            data.get(k) is not None for k in ("samples", "seconds", "relative_error")
+        ):
             return {**data, "samples": 64}
         return data

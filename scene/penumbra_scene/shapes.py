@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from penumbra_scene import limits
 from penumbra_scene.assets import AssetRef
-from penumbra_scene.base import Direction, Float, Integer, Model, Name, Positive, Radiance, Vec2, Vec3
+from penumbra_scene.base import Bool, Direction, Float, Model, Name, Positive, Radiance, Vec2, Vec3, error_at
 from penumbra_scene.transforms import Transform
 
 
@@ -17,7 +18,7 @@ class Emission(Model):
 
     radiance: Radiance
     """W / (m^2 sr)."""
-    two_sided: bool = False
+    two_sided: Bool = False
     """Emit on the back of the surface as well."""
 
 
@@ -51,7 +52,7 @@ class Quad(_Surface):
         u, v = self.u, self.v
         cross = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
         if sum(x * x for x in cross) <= 1e-12 * sum(x * x for x in u) * sum(x * x for x in v):
-            raise ValueError("u and v must not be parallel")
+            raise error_at("/v", "u and v must not be parallel")
         return self
 
 
@@ -71,14 +72,21 @@ class Plane(_Shape):
     normal: Direction = (0.0, 1.0, 0.0)
 
 
-Index = Annotated[Integer, Field(ge=0, lt=2**31)]
+Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]
 Triangle = tuple[Index, Index, Index]
+# fail_fast: one error says enough about an array, and a list of a million errors helps nobody.
+Positions = Annotated[tuple[Vec3, ...], Field(min_length=3, fail_fast=True)]
+Triangles = Annotated[
+    tuple[Triangle, ...], Field(min_length=1, max_length=limits.MAX_TRIANGLES, fail_fast=True)
+]
+Normals = Annotated[tuple[Direction, ...], Field(fail_fast=True)]
+Uvs = Annotated[tuple[Vec2, ...], Field(fail_fast=True)]
 
 
 class MeshKeyframe(Model):
     time: Float
     """Seconds."""
-    positions: tuple[Vec3, ...]
+    positions: Positions
     """As many as the mesh has."""
 
 
@@ -86,16 +94,17 @@ class Mesh(_Surface):
     """Triangles: inline arrays (positions and indices), or an asset (OBJ, PLY, GLB)."""
 
     type: Literal["mesh"]
-    positions: Annotated[tuple[Vec3, ...], Field(min_length=3)] | None = None
-    indices: Annotated[tuple[Triangle, ...], Field(min_length=1, max_length=limits.MAX_TRIANGLES)] | None = None
+    positions: Positions | None = None
+    """Metres, before the transform."""
+    indices: Triangles | None = None
     """Counter-clockwise seen from outside."""
-    normals: tuple[Direction, ...] | None = None
+    normals: Normals | None = None
     """One a vertex; without them triangles are flat."""
-    uvs: tuple[Vec2, ...] | None = None
+    uvs: Uvs | None = None
     """One a vertex, (0, 0) at an image's lower left."""
     source: AssetRef | None = None
     """OBJ, PLY or GLB, read with its own normals and uvs."""
-    smooth: bool = False
+    smooth: Bool = False
     """Compute vertex normals where the mesh brings none."""
     deformation: Annotated[tuple[MeshKeyframe, ...], Field(min_length=2, max_length=256)] | None = None
     """Vertex positions over time, linear in between; they replace `positions`."""
@@ -103,8 +112,12 @@ class Mesh(_Surface):
     @model_validator(mode="after")
     def _consistent(self) -> Mesh:
         inline = self.positions is not None or self.indices is not None
+        if (self.normals is not None or self.uvs is not None) and self.source is not None:
+            raise error_at(
+                "/source", "normals and uvs come from the source; give them only with inline positions"
+            )
         if inline == (self.source is not None):
-            raise ValueError("give either positions and indices, or source")
+            raise error_at("", "give either positions and indices, or source")
         if inline:
             self._check_arrays()
         if self.deformation is not None:
@@ -113,26 +126,26 @@ class Mesh(_Surface):
 
     def _check_arrays(self) -> None:
         if self.positions is None or self.indices is None:
-            raise ValueError("positions and indices belong together")
+            raise error_at("", "positions and indices belong together")
         count = len(self.positions)
         for i, triangle in enumerate(self.indices):
             if max(triangle) >= count:
-                raise ValueError(f"indices[{i}] is {triangle}, but there are only {count} positions")
+                raise error_at(f"/indices/{i}", f"must be below {count}, the number of positions")
         for key in ("normals", "uvs"):
             values = getattr(self, key)
             if values is not None and len(values) != count:
-                raise ValueError(f"{key} has {len(values)} entries, but there are {count} positions")
+                raise error_at(f"/{key}", f"has {len(values)} entries, but there are {count} positions")
 
     def _check_deformation(self) -> None:
         assert self.deformation is not None
         times = [k.time for k in self.deformation]
-        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
-            raise ValueError("deformation times must rise strictly")
+        if any(b <= a for a, b in pairwise(times)):
+            raise error_at("/deformation", "times must rise strictly")
         if self.emission is not None:
-            raise ValueError("a deforming mesh cannot emit")
+            raise error_at("/emission", "a deforming mesh cannot emit")
         counts = {len(k.positions) for k in self.deformation}
         if len(counts) > 1 or (self.positions is not None and counts != {len(self.positions)}):
-            raise ValueError("every deformation keyframe must have as many positions as the mesh")
+            raise error_at("/deformation", "every keyframe must have as many positions as the mesh")
 
 
 class Instance(_Shape):

@@ -1,13 +1,14 @@
-"""Placing things: a list of steps, applied to points in the order listed, or keyframes of such lists over time."""
+"""Placing things: steps, applied to points in the order listed, or keyframes of such lists over time."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from penumbra_scene import limits
-from penumbra_scene.base import Direction, Float, Model, Vec3, _spread_gray
+from penumbra_scene.base import Direction, Float, Model, Vec3, error_at, spread
 
 
 class LookAtFrame(Model):
@@ -24,7 +25,9 @@ class LookAtFrame(Model):
         cross = (f[1] * u[2] - f[2] * u[1], f[2] * u[0] - f[0] * u[2], f[0] * u[1] - f[1] * u[0])
         size = sum(x * x for x in f) * sum(x * x for x in u)
         if sum(x * x for x in cross) <= 1e-12 * size:
-            raise ValueError("target must differ from origin, and up must not be parallel to the view direction")
+            raise error_at(
+                "", "target must differ from origin, and up must not be parallel to the view direction"
+            )
         return self
 
 
@@ -45,19 +48,14 @@ class Rotate(Model):
     rotate: Rotation
 
 
-def _nonzero_scale(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    if any(abs(x) < 1e-12 for x in value):
-        raise ValueError("no component may be zero")
-    return value
-
-
 class Scale(Model):
-    scale: Annotated[Vec3, BeforeValidator(_spread_gray)]
+    scale: Annotated[Vec3, BeforeValidator(spread, json_schema_input_type=Vec3 | Float)]
     """A factor an axis, or one number for all three; negative ones mirror."""
 
     @model_validator(mode="after")
     def _not_singular(self) -> Scale:
-        _nonzero_scale(self.scale)
+        if any(abs(x) < limits.MIN_SCALE for x in self.scale):
+            raise error_at("/scale", f"every component must be at least {limits.MIN_SCALE} in size")
         return self
 
 
@@ -71,7 +69,7 @@ class Matrix(Model):
     @model_validator(mode="after")
     def _affine_and_regular(self) -> Matrix:
         if tuple(self.matrix[3]) != (0.0, 0.0, 0.0, 1.0):
-            raise ValueError("the last row must be [0, 0, 0, 1]")
+            raise error_at("/matrix/3", "the last row must be [0, 0, 0, 1]")
         a, b, c = (row[:3] for row in self.matrix[:3])
         det = (
             a[0] * (b[1] * c[2] - b[2] * c[1])
@@ -80,7 +78,7 @@ class Matrix(Model):
         )
         lengths = [sum(row[j] ** 2 for row in (a, b, c)) ** 0.5 for j in range(3)]
         if abs(det) <= 1e-9 * lengths[0] * lengths[1] * lengths[2] or det == 0:
-            raise ValueError("the upper-left 3x3 part must be invertible")
+            raise error_at("/matrix", "the upper-left 3x3 part must be invertible")
         return self
 
 
@@ -106,11 +104,11 @@ Step = Annotated[
     Discriminator(
         _step_tag,
         custom_error_type="transform_step",
-        custom_error_message="a step must be an object with one of the keys translate, rotate, scale, matrix, look_at",
+        custom_error_message="must be an object with one of the keys translate, rotate, scale, matrix, look_at",
     ),
 ]
 
-Steps = Annotated[tuple[Step, ...], Field(max_length=64)]
+Steps = Annotated[tuple[Step, ...], Field(max_length=limits.MAX_STEPS)]
 
 
 class TransformKeyframe(Model):
@@ -120,16 +118,16 @@ class TransformKeyframe(Model):
 
 
 class Keyframes(Model):
-    """Transforms over time. Between keyframes translation and stretch are interpolated linearly, rotation by slerp
-    along the shorter arc; before the first and after the last the transform stands still."""
+    """Transforms over time. Between keyframes translation and stretch are interpolated linearly, rotation
+    by slerp along the shorter arc; before the first and after the last the transform stands still."""
 
     keyframes: Annotated[tuple[TransformKeyframe, ...], Field(min_length=1, max_length=limits.MAX_KEYFRAMES)]
 
     @model_validator(mode="after")
     def _times_rise(self) -> Keyframes:
         times = [k.time for k in self.keyframes]
-        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
-            raise ValueError("keyframe times must rise strictly")
+        if any(b <= a for a, b in pairwise(times)):
+            raise error_at("/keyframes", "keyframe times must rise strictly")
         return self
 
 
@@ -147,6 +145,6 @@ def _transform_tag(value: Any) -> str:
 Transform = Annotated[
     Annotated[Steps, Tag("steps")] | Annotated[Keyframes, Tag("keyframes")],
     Discriminator(_transform_tag),
-    BeforeValidator(_listed),
+    BeforeValidator(_listed, json_schema_input_type=Step | Steps | Keyframes),
 ]
 """A step, a list of steps, or {"keyframes": [...]}."""
