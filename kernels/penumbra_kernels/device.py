@@ -7,7 +7,7 @@ first device is asked for.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -160,11 +160,12 @@ class Device:
 
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
 
-    def launch(self, kernel: cl.Kernel, count: int, local: int, offset: int = 0) -> None:
-        """Run `count` work-items from global id `offset` on, in groups of `local`, and wait."""
+    def launch(self, kernel: cl.Kernel, arguments: Sequence[Any], count: int, local: int) -> None:
+        """Run `count` work-items in groups of `local`, and wait. The caller keeps the argument buffers alive."""
         import pyopencl as cl
 
-        cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,), (offset,)).wait()
+        kernel.set_args(*arguments)
+        cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,)).wait()
 
     def download(self, buffer: cl.Buffer, out: np.ndarray[Any, Any]) -> None:
         """Fill a contiguous array from a buffer; waits for the queue."""

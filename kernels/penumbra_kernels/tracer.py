@@ -20,6 +20,8 @@ LAUNCH_SECONDS: Final = 0.05
 """Display drivers kill longer launches."""
 ITEMS_PER_GROUP: Final = 16
 """(pixel, replicate) pairs that a work-item of a CPU loops over: private arrays live once per work-item."""
+MAX_GROUPS: Final = 32768
+"""PoCL compiles a kernel once more for grids of 65,535 and up, and once more for global offsets: neither is used."""
 
 Flags = Mapping[str, int]
 
@@ -60,10 +62,11 @@ ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("counts", lambda flags: flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]),
     ("layers", _has("LAYERS")),
     ("sums", _always),
+    ("first_item", _always),
 )
 """trace.cl's arguments in order, each with the condition under which the program has it."""
 
-PER_LAUNCH: Final = frozenset({"params", "counts", "layers", "sums"})
+PER_LAUNCH: Final = frozenset({"params", "counts", "layers", "sums", "first_item"})
 
 
 @dataclass(frozen=True)
@@ -135,27 +138,27 @@ class Tracer:
             buffers["layers"] = self.device.allocate(layers.nbytes)
         if self.flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]:
             buffers["counts"] = self.device.upload(self._counts(tile, first_sample, sample_count))
-        self._kernel.set_args(*(buffers[name] for name, present in ARGUMENTS if present(self.flags)))
-        self._run(items, int(params["items_per_group"]), sample_count)
+        arguments = [buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"]
+        self._run(arguments, items, int(params["items_per_group"]), sample_count)
         self.device.download(buffers["sums"], sums)
         if layers is not None:
             self.device.download(buffers["layers"], layers)
         return SumNode(tile, first_sample, sample_count, sums, layers)
 
-    def _run(self, items: int, per_group: int, sample_count: int) -> None:
-        """Launch all groups, in slices of about LAUNCH_SECONDS at the rate measured so far."""
-        groups = -(-items // per_group)
+    def _run(self, arguments: list[Any], items: int, per_group: int, sample_count: int) -> None:
+        """Launch all items, in slices of about LAUNCH_SECONDS at the rate measured so far."""
         local = 1 if self.device.info.kind == "cpu" else 64
         at = 0
-        while at < groups:
+        while at < items:
             rate = self._items_per_second / sample_count
-            count = max(int(rate * LAUNCH_SECONDS / per_group), 64) if rate else 64
-            count = min(-(-count // local) * local, -(-(groups - at) // local) * local)
+            groups = min(max(int(rate * LAUNCH_SECONDS / per_group), 64), MAX_GROUPS)
+            groups = -(-min(groups, -(-(items - at) // per_group)) // local) * local
             started = time.perf_counter()
-            self.device.launch(self._kernel, count, local, at)
+            self.device.launch(self._kernel, [*arguments, np.uint32(at)], groups, local)
             elapsed = max(time.perf_counter() - started, 1e-6)
-            self._items_per_second = min(count, groups - at) * per_group * sample_count / elapsed
-            at += count
+            done = min(groups * per_group, items - at)
+            self._items_per_second = done * sample_count / elapsed
+            at += done
 
     def _counts(self, tile: Tile, first_sample: int, sample_count: int) -> np.ndarray[Any, Any]:
         from penumbra_kernels.sampling.random_plane import counts

@@ -1,8 +1,8 @@
 // The tracer's one kernel: for a tile, every replicate and an aligned power-of-two range of sample indices, the sum node.
 //
 // Reads: params, the scene's buffers. Writes: sums (and layers), one entry per (replicate, pixel of the tile), replicate
-// slowest, then rows. Runs: one work-item per `items_per_group` consecutive entries; the host splits a node into launches by
-// the global offset, which changes nothing in the result. Who is next: the host merges nodes (nodes.py).
+// slowest, then rows. Runs: one work-item per `items_per_group` consecutive entries from first_item on; the host splits a
+// node into launches by it, which changes nothing in the result. Who is next: the host merges nodes (nodes.py).
 //
 // This file alone decides which effects a program has, by 0/1 macros; every argument stands in tracer.py's table in the same
 // order under the same conditions.
@@ -125,7 +125,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_LAYERS
                     __global Layers *layers,
 #endif
-                    __global Sum *sums) {
+                    __global Sum *sums, const uint first_item) {
   SceneData scene;
   scene.nodes = nodes;
   scene.packets = packets;
@@ -184,7 +184,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   scene.environment_light = params->environment_light;
 
   const uint pixels = params->tile_width * params->tile_height;
-  const uint first = (uint)get_global_id(0) * params->items_per_group;
+  const uint first = first_item + (uint)get_global_id(0) * params->items_per_group;
   const uint end = MIN(first + params->items_per_group, params->item_count);
   for (uint item = first; item < end; item++) {
     const uint replicate = item / pixels;

@@ -1,0 +1,59 @@
+"""Energy: furnaces, closed rooms, slabs. Truth is known without another renderer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+Z = 5.3
+ENVIRONMENT = {"type": "constant", "radiance": 1}
+
+
+def furnace(material: dict[str, Any], **keys: Any) -> dict[str, Any]:
+    return {
+        "camera": {"type": "perspective", "fov": 40, "transform": {"translate": [0, 0, 4]}},
+        "film": {"width": 16, "height": 16},
+        "materials": {"m": material},
+        "shapes": [{"type": "sphere", "material": "m"}],
+        "environment": ENVIRONMENT,
+        "integrator": {"max_bounces": 64},
+        **keys,
+    }
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"type": "diffuse", "base_color": 1},
+        {"type": "mirror"},
+        {"type": "conductor", "base_color": 1, "roughness": 0},
+        {"type": "dielectric", "roughness": 0},
+        {"type": "thin_dielectric"},
+        {"type": "diffuse_transmission", "reflectance": 0.25, "transmittance": 0.75},
+    ],
+    ids=lambda m: m["type"],
+)
+def test_white_things_vanish_in_a_white_furnace(render: Any, material: dict[str, Any]) -> None:
+    picture = render(furnace(material), samples=512)
+    assert abs(picture.mean.mean() - 1) < 1e-4 + Z * (picture.variance.sum() ** 0.5) / picture.mean.size
+
+
+def test_a_closed_sphere_gathers_a_hundredfold(render: Any) -> None:
+    """L = Le / (1 - albedo); roulette must not cut it."""
+    scene = {
+        "camera": {"type": "perspective", "fov": 60},
+        "film": {"width": 8, "height": 8},
+        "materials": {"m": {"type": "diffuse", "base_color": 0.99}},
+        "shapes": [{"type": "sphere", "radius": 2, "material": "m", "emission": {"radiance": 1, "two_sided": True}}],
+        "integrator": {"max_bounces": 65535},
+    }
+    picture = render(scene, samples=512)
+    assert abs(picture.z_of(100.0)) < Z
+    assert picture.mean.mean() == pytest.approx(100, rel=0.05)
+
+
+def test_an_empty_scene_shows_its_environment_exactly(render: Any) -> None:
+    picture = render(furnace({"type": "diffuse"}, shapes=[]), samples=8)
+    assert (picture.mean == 1).all()
+    assert (picture.alpha == 0).all()
