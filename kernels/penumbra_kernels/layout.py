@@ -98,6 +98,10 @@ INSTANCE: Final = np.dtype(
         ("first_keyframe", np.uint32),
         ("keyframe_count", np.uint32),  # 0: still
         ("object_id", np.uint32),
+        ("light_offset", np.uint32),  # add to its shapes' `light`: a copy of an emitting prototype is a light of its own
+        ("pad0", np.uint32),
+        ("pad1", np.uint32),
+        ("pad2", np.uint32),
     ]
 )
 
@@ -205,9 +209,11 @@ LIGHT: Final = np.dtype(
     [
         ("radiance", np.float32, (3,)),  # radiance, intensity (point, spot) or irradiance (directional)
         ("type", np.uint32),  # LIGHT_*
+        # Geometry is in the frame of `instance`, or of the light's own keyframes, or, without both, in the world.
+        # An image environment keeps the rows of its own frame from the world in position, direction, axis_v.
         ("position", np.float32, (3,)),  # point, spot; quad: origin; disc, sphere: center
         ("shape", np.uint32),  # of area lights, or NONE
-        ("direction", np.float32, (3,)),  # spot, directional: where the light goes; quad: u; disc: first half axis
+        ("direction", np.float32, (3,)),  # spot, directional: where the light goes, unit; quad: u; disc: half axis
         ("cos_inner", np.float32),  # spot; sphere: radius
         ("axis_v", np.float32, (3,)),  # quad: v; disc: second half axis
         ("cos_outer", np.float32),  # spot
@@ -218,13 +224,17 @@ LIGHT: Final = np.dtype(
         ("first_triangle", np.uint32),
         ("instance", np.uint32),  # that moves it, or NONE
         ("flags", np.uint32),  # bit 0: two-sided
+        ("first_keyframe", np.uint32),  # point, spot, directional: their own motion
+        ("keyframe_count", np.uint32),  # 0: still
+        ("width", np.uint32),  # texels of an image environment, 0 of a constant one
+        ("height", np.uint32),
         ("pad0", np.uint32),
     ]
 )
 
 ALIAS: Final = np.dtype(
     [
-        ("threshold", np.float32),  # keep this entry where the remapped number is below
+        ("threshold", np.float32),  # keep this entry where the number, remapped to [0, 1) in the entry, is below
         ("other", np.uint32),
         ("pmf", np.float32),
         ("pad0", np.float32),

@@ -116,8 +116,12 @@ typedef struct {
   uint first_keyframe;
   uint keyframe_count;
   uint object_id;
+  uint light_offset;
+  uint pad0;
+  uint pad1;
+  uint pad2;
 } Instance;
-// sizeof(Instance) == 112
+// sizeof(Instance) == 128
 
 typedef struct {
   float lo_x[8];
@@ -231,9 +235,13 @@ typedef struct {
   uint first_triangle;
   uint instance;
   uint flags;
+  uint first_keyframe;
+  uint keyframe_count;
+  uint width;
+  uint height;
   uint pad0;
 } Light;
-// sizeof(Light) == 96
+// sizeof(Light) == 112
 
 typedef struct {
   float threshold;
