@@ -17,8 +17,8 @@ Launch = Callable[..., None]
 def compiled(device: Device) -> Callable[[str, Mapping[str, int]], Launch]:
     """compiled(text, flags) -> launch(name, size, out, *arguments).
 
-    Runs kernel `name` over `size` work-items and fills `out` from the buffer that is its first argument. Arrays
-    are uploaded; numpy scalars pass by value.
+    Runs kernel `name` over `size` work-items and fills `out` from the buffer that is its first argument.
+    Arrays are uploaded; numpy scalars pass by value.
     """
 
     def build(text: str, flags: Mapping[str, int]) -> Launch:
