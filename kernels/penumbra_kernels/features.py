@@ -16,7 +16,7 @@ from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Shape, Sphere
 from penumbra_scene.transforms import Transform
 
-from penumbra_kernels.compile.transforms import is_similarity, keyframes_of, matrix_at
+from penumbra_kernels.compile.transforms import is_similarity, matrix_at, moves
 from penumbra_kernels.layout import CONSTANTS
 
 EFFECTS: Final = (
@@ -95,7 +95,7 @@ def _reasons(effect: str, scene: Scene, time: float) -> Iterator[str]:
 
 def _moves(transform: Transform, camera: Camera, time: float) -> bool:
     shutter = camera.shutter
-    return keyframes_of(transform, time, shutter.open, shutter.close) is not None
+    return moves(transform, time, shutter.open, shutter.close)
 
 
 def _where(kind: str, index: int, name: str | None) -> str:

@@ -238,6 +238,14 @@ def matrix_at(transform: Transform, t: float) -> Array:
     return _between(first, last, t).matrix()
 
 
+def is_similarity(matrix: Array) -> bool:
+    """Whether a matrix only turns, mirrors, moves and scales alike along all axes, up to float32's rounding."""
+    m = matrix[:3, :3]
+    gram = m.T @ m
+    size = np.trace(gram) / 3.0
+    return bool(np.abs(gram - size * np.eye(3)).max() <= 1e-6 * size)
+
+
 def moves(transform: Transform, time: float, shutter_open: float, shutter_close: float) -> bool:
     """Whether the thing moves while the shutter, [time + shutter_open, time + shutter_close], is open."""
     return len(poses_of(transform, time + shutter_open, time + shutter_close)) > 1

@@ -1,0 +1,119 @@
+"""Which effects a scene calls for, by table; and that the program's arguments follow its flags."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+from penumbra_kernels.features import EFFECTS, analyse
+from penumbra_kernels.program import CL_ROOT
+from penumbra_kernels.tracer import ARGUMENTS
+from penumbra_scene.scene import Scene
+
+BASE: dict[str, Any] = {
+    "version": 1,
+    "camera": {"type": "perspective"},
+    "integrator": {"max_bounces": 0},
+    "shapes": [{"type": "quad"}],
+}
+SHUTTER = {"open": 0.0, "close": 1.0}
+MOVE = {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": [{"translate": [1, 0, 0]}]}]}
+TRIANGLE = {"positions": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "indices": [[0, 1, 2]]}
+
+
+def shape(material: dict[str, Any]) -> dict[str, Any]:
+    return {"materials": {"m": material}, "shapes": [{"type": "quad", "material": "m"}]}
+
+
+CASES: list[tuple[str, dict[str, Any], set[str]]] = [
+    ("a quad in the dark", {}, set()),
+    ("an open lens", {"camera": {"type": "perspective", "lens": {"aperture_radius": 0.1}}}, {"lens"}),
+    ("a camera that moves", {"camera": {"type": "perspective", "transform": MOVE, "shutter": SHUTTER}}, {"camera_motion"}),
+    ("a camera that moves behind a closed shutter", {"camera": {"type": "perspective", "transform": MOVE}}, set()),
+    (
+        "a shape that moves",
+        {"camera": {"type": "perspective", "shutter": SHUTTER}, "shapes": [{"type": "quad", "transform": MOVE}]},
+        {"motion", "instancing"},
+    ),
+    (
+        "keyframes that say the same",
+        {
+            "camera": {"type": "perspective", "shutter": SHUTTER},
+            "shapes": [{"type": "quad", "transform": {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": []}]}}],
+        },
+        set(),
+    ),
+    (
+        "a mesh that deforms",
+        {
+            "camera": {"type": "perspective", "shutter": SHUTTER},
+            "shapes": [
+                {
+                    "type": "mesh",
+                    **TRIANGLE,
+                    "deformation": [
+                        {"time": 0, "positions": TRIANGLE["positions"]},
+                        {"time": 1, "positions": [[0, 0, 1], [1, 0, 1], [0, 1, 1]]},
+                    ],
+                }
+            ],
+        },
+        {"deformation"},
+    ),
+    (
+        "an instance",
+        {"prototypes": {"p": [{"type": "quad"}]}, "shapes": [{"type": "instance", "prototype": "p"}]},
+        {"instancing"},
+    ),
+    ("a prototype that nobody uses", {"prototypes": {"p": [{"type": "sphere"}]}}, set()),
+    ("a sphere", {"shapes": [{"type": "sphere"}]}, {"round"}),
+    ("a stretched sphere", {"shapes": [{"type": "sphere", "transform": {"scale": [1, 2, 1]}}]}, {"round", "instancing"}),
+    ("an area light", {"shapes": [{"type": "quad", "emission": {"radiance": 1}}]}, {"area_lights"}),
+    ("a point light", {"lights": [{"type": "point"}]}, {"delta_lights"}),
+    ("two lights", {"lights": [{"type": "point"}, {"type": "spot"}]}, {"delta_lights", "many_lights"}),
+    ("a sky", {"environment": {"type": "constant"}}, {"environment"}),
+    (
+        "an image of a sky",
+        {"environment": {"type": "image", "image": {"file": "sky.exr"}}},
+        {"environment", "environment_image"},
+    ),
+    ("gold", shape({"type": "conductor"}), {"gloss", "indirect"}),
+    ("glass", shape({"type": "dielectric"}), {"gloss", "transmission", "indirect"}),
+    ("paper", shape({"type": "diffuse_transmission"}), {"transmission"}),
+    ("glass that no shape is made of", {"materials": {"m": {"type": "dielectric"}}}, set()),
+    (
+        "a texture",
+        {"textures": {"t": {"type": "checker"}}, **shape({"type": "diffuse", "base_color": {"texture": "t"}})},
+        {"textures"},
+    ),
+    ("bounces", {"integrator": {"max_bounces": 3}}, {"indirect"}),
+    ("layers", {"film": {"layers": ["normal"]}}, {"layers"}),
+]
+
+
+@pytest.mark.parametrize(("change", "expected"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
+def test_only_the_effects_that_the_scene_calls_for(change: dict[str, Any], expected: set[str]) -> None:
+    features = analyse(Scene.model_validate({**BASE, **change}))
+    assert set(features.present) == expected
+    assert all(v.reason for v in features.verdicts)
+
+
+def test_every_verdict_says_where() -> None:
+    features = analyse(Scene.model_validate({**BASE, **shape({"type": "dielectric"})}))
+    assert next(v.reason for v in features.verdicts if v.name == "transmission") == "materials/m transmits"
+
+
+def test_flags_are_numbers_for_every_effect() -> None:
+    features = analyse(Scene.model_validate(BASE))
+    for flags in (features.flags(), features.generic_flags()):
+        assert {f"PENUMBRA_{e.upper()}" for e in EFFECTS} <= flags.keys()
+        assert all(isinstance(v, int) for v in flags.values())
+
+
+def test_the_host_passes_the_kernels_arguments_in_their_order() -> None:
+    text = (CL_ROOT / "trace.cl").read_text()
+    signature = text[text.index("__kernel void trace(") :]
+    signature = signature[: signature.index(") {")]
+    names = re.findall(r"(\w+)\s*[,\n]|(\w+)$", re.sub(r"#[^\n]*", ",", signature.split("(", 1)[1]))
+    assert [a or b for a, b in names if (a or b)] == [name for name, _ in ARGUMENTS]
