@@ -26,9 +26,9 @@ class AssetRef(Model):
     @model_validator(mode="after")
     def _one_source(self) -> AssetRef:
         if (self.asset is None) == (self.file is None):
-            raise error_at("", "give exactly one of asset (sha256:...) and file")
-        if self.file is not None and _leaves_folder(self.file):
             raise error_at(
-                "/file", "must stay inside the scene's folder: no absolute path, drive, '..' or NUL"
+                "", "has neither or both of asset and file", '{"asset": "sha256:..."} or {"file": path}'
             )
+        if self.file is not None and _leaves_folder(self.file):
+            raise error_at("/file", "leaves the scene's folder", "a relative path without '..'")
         return self

@@ -19,9 +19,14 @@ class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
-def error_at(pointer: str, message: str) -> PydanticCustomError:
-    """An error for a model's validator to raise that blames `pointer` ('/indices/3') within that model."""
-    return PydanticCustomError("inconsistent", "{message}", {"at": pointer, "message": message})
+def error_at(pointer: str, message: str, accepted: str = "") -> PydanticCustomError:
+    """An error for a model's validator to raise that blames `pointer` ('/indices/3') within that model.
+
+    `accepted` where the schema alone does not tell what would be right.
+    """
+    return PydanticCustomError(
+        "inconsistent", "{message}", {"at": pointer, "message": message, "accepted": accepted}
+    )
 
 
 def _reject_boolean(value: Any) -> Any:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from penumbra_scene.base import Float, Integer, Model, NonNegative, Positive, error_at
+from penumbra_scene.base import Float, Model, NonNegative, NotBoolean, Positive, error_at
 from penumbra_scene.transforms import Transform
 
 
@@ -17,7 +17,7 @@ class Lens(Model):
     """Metres; 0 is a pinhole."""
     focus_distance: Positive = 1.0
     """Metres along the optical axis to the plane in focus."""
-    blades: Annotated[Integer, Field(ge=0, le=64)] = 0
+    blades: Annotated[int, Field(ge=0, le=64), NotBoolean] = 0
     """Sides of the aperture's polygon; 0 is a disc. 1 and 2 are refused."""
     rotation: Float = 0.0
     """Degrees by which the polygon is turned."""
@@ -25,7 +25,7 @@ class Lens(Model):
     @model_validator(mode="after")
     def _polygon(self) -> Lens:
         if self.blades in (1, 2):
-            raise error_at("/blades", "must be 0 (a disc) or at least 3")
+            raise error_at("/blades", "a polygon has at least 3 sides", "0 (a disc), or 3 to 64")
         return self
 
 
@@ -40,9 +40,9 @@ class Shutter(Model):
     @model_validator(mode="after")
     def _valid(self) -> Shutter:
         if self.close < self.open:
-            raise error_at("/close", "close must not be before open")
+            raise error_at("/close", "the shutter closes before it opens", f"at least {self.open} (open)")
         if not any(self.curve):
-            raise error_at("/curve", "must be above zero somewhere")
+            raise error_at("/curve", "is zero everywhere", "at least one number above 0")
         return self
 
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from penumbra_scene import limits
-from penumbra_scene.base import Bool, Float, Integer, Model, Positive, error_at
+from penumbra_scene.base import Bool, Float, Model, NotBoolean, Positive, error_at
 
-Side = Annotated[Integer, Field(ge=1, le=limits.MAX_RESOLUTION)]
+Side = Annotated[int, Field(ge=1, le=limits.MAX_RESOLUTION), NotBoolean]
 
 
 class BoxFilter(Model):
@@ -50,8 +50,8 @@ Filter = Annotated[
 class Crop(Model):
     """A window of pixels; the finished EXR holds it as its data window. Its bits equal the full frame's."""
 
-    x: Annotated[Integer, Field(ge=0)]
-    y: Annotated[Integer, Field(ge=0)]
+    x: Annotated[int, Field(ge=0), NotBoolean]
+    y: Annotated[int, Field(ge=0), NotBoolean]
     width: Side
     height: Side
 
@@ -63,7 +63,7 @@ class Thumbnail(Model):
     """Stops."""
     view: Literal["srgb", "aces"] = "srgb"
     """A named view transform: plain sRGB, or the ACES 1.0 SDR video rendering."""
-    max_side: Annotated[Integer, Field(ge=16, le=4096)] = 512
+    max_side: Annotated[int, Field(ge=16, le=4096), NotBoolean] = 512
     """Pixels of the longer side."""
 
 
@@ -82,16 +82,18 @@ class Film(Model):
     def _fits(self) -> Film:
         if self.width * self.height > limits.MAX_PIXELS and self.crop is None:
             raise error_at(
-                "", f"width * height must be at most {limits.MAX_PIXELS} pixels, or give a smaller crop"
+                "",
+                f"{self.width * self.height} pixels are too many",
+                f"width * height at most {limits.MAX_PIXELS}, or a crop",
             )
         if self.crop is not None:
             c = self.crop
             if c.x + c.width > self.width or c.y + c.height > self.height:
-                raise error_at("/crop", f"must lie inside the picture of {self.width} x {self.height} pixels")
+                raise error_at("/crop", "leaves the picture", f"a window in {self.width} x {self.height}")
             if c.width * c.height > limits.MAX_PIXELS:
-                raise error_at("/crop", f"must be at most {limits.MAX_PIXELS} pixels")
+                raise error_at("/crop", "has too many pixels", f"at most {limits.MAX_PIXELS} pixels")
         if len(set(self.layers)) != len(self.layers):
-            raise error_at("/layers", "must not repeat")
+            raise error_at("/layers", "a layer is listed twice", "each of albedo, normal, depth once at most")
         return self
 
     @property

@@ -37,7 +37,7 @@ class SpotLight(_Light):
     @model_validator(mode="after")
     def _cone(self) -> SpotLight:
         if self.inner_cone_angle > self.outer_cone_angle:
-            raise error_at("/inner_cone_angle", "must not exceed outer_cone_angle")
+            raise error_at("/inner_cone_angle", "exceeds the outer one", f"at most {self.outer_cone_angle:g}")
         return self
 
 

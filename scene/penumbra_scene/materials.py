@@ -115,7 +115,7 @@ class DiffuseTransmission(_Material):
             return self
         # The slack is for decimals such as 0.3 + 0.7, whose doubles may add up to one ulp above 1.
         if any(r + t > 1 + 1e-12 for r, t in zip(self.reflectance, self.transmittance, strict=True)):
-            raise error_at("/transmittance", "reflectance + transmittance must not exceed 1 in any channel")
+            raise error_at("/transmittance", "reflectance + transmittance exceeds 1", "sums of at most 1")
         return self
 
 

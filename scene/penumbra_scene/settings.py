@@ -8,19 +8,19 @@ from pydantic import BeforeValidator, Field, PlainSerializer, StringConstraints,
 from pydantic_core import PydanticCustomError
 
 from penumbra_scene import limits
-from penumbra_scene.base import Bool, Integer, Model, NotBoolean, Positive
+from penumbra_scene.base import Bool, Model, NotBoolean, Positive
 
 
 class Integrator(Model):
     """Recursive path tracing with next-event estimation and multiple importance sampling."""
 
-    max_bounces: Annotated[Integer, Field(ge=0, le=limits.MAX_BOUNCES)] = 16
+    max_bounces: Annotated[int, Field(ge=0, le=limits.MAX_BOUNCES), NotBoolean] = 16
     """Reflections and transmissions that a path may make after the first hit; 0 is direct light only."""
-    roulette_start: Annotated[Integer, Field(ge=0, le=limits.MAX_BOUNCES)] = 4
+    roulette_start: Annotated[int, Field(ge=0, le=limits.MAX_BOUNCES), NotBoolean] = 4
     """Bounces before Russian roulette may end a path; survival is min(1, throughput)."""
     light_selection: Literal["all", "uniform", "power"] = "power"
     """Which lights a hit asks: every one, or `shadow_rays` picks by equal chance or by power."""
-    shadow_rays: Annotated[Integer, Field(ge=1, le=limits.MAX_SHADOW_RAYS)] = 1
+    shadow_rays: Annotated[int, Field(ge=1, le=limits.MAX_SHADOW_RAYS), NotBoolean] = 1
     """Shadow rays per light (all), or picks per hit (uniform, power)."""
     light_sampling: Literal["solid_angle", "area"] = "solid_angle"
     """The density on an area light: uniform in the solid angle that it subtends, or uniform over its area."""
@@ -65,7 +65,7 @@ class Sampler(Model):
 class Stop(Model):
     """When a render ends: whichever comes first. Without any, 64 samples a pixel."""
 
-    samples: Annotated[Integer, Field(ge=1, le=limits.MAX_SAMPLES)] | None = None
+    samples: Annotated[int, Field(ge=1, le=limits.MAX_SAMPLES), NotBoolean] | None = None
     """A pixel."""
     seconds: Annotated[Positive, Field(le=limits.MAX_SECONDS)] | None = None
     """Of tracing."""

@@ -52,7 +52,7 @@ class Quad(_Surface):
         u, v = self.u, self.v
         cross = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
         if sum(x * x for x in cross) <= 1e-12 * sum(x * x for x in u) * sum(x * x for x in v):
-            raise error_at("/v", "u and v must not be parallel")
+            raise error_at("/v", "u and v are parallel", "a vector that is not parallel to u")
         return self
 
 
@@ -81,6 +81,9 @@ Triangles = Annotated[
 ]
 Normals = Annotated[tuple[Direction, ...], Field(fail_fast=True)]
 Uvs = Annotated[tuple[Vec2, ...], Field(fail_fast=True)]
+
+
+_MESH_FORMS = "positions with indices, or source"
 
 
 class MeshKeyframe(Model):
@@ -113,11 +116,9 @@ class Mesh(_Surface):
     def _consistent(self) -> Mesh:
         inline = self.positions is not None or self.indices is not None
         if (self.normals is not None or self.uvs is not None) and self.source is not None:
-            raise error_at(
-                "/source", "normals and uvs come from the source; give them only with inline positions"
-            )
+            raise error_at("/source", "normals and uvs come from the source", "source alone")
         if inline == (self.source is not None):
-            raise error_at("", "give either positions and indices, or source")
+            raise error_at("", "has neither or both of inline arrays and a source", _MESH_FORMS)
         if inline:
             self._check_arrays()
         if self.deformation is not None:
@@ -126,26 +127,26 @@ class Mesh(_Surface):
 
     def _check_arrays(self) -> None:
         if self.positions is None or self.indices is None:
-            raise error_at("", "positions and indices belong together")
+            raise error_at("", "positions and indices belong together", _MESH_FORMS)
         count = len(self.positions)
         for i, triangle in enumerate(self.indices):
             if max(triangle) >= count:
-                raise error_at(f"/indices/{i}", f"must be below {count}, the number of positions")
+                raise error_at(f"/indices/{i}", f"there are {count} positions", f"0 to {count - 1}")
         for key in ("normals", "uvs"):
             values = getattr(self, key)
             if values is not None and len(values) != count:
-                raise error_at(f"/{key}", f"has {len(values)} entries, but there are {count} positions")
+                raise error_at(f"/{key}", f"{len(values)} entries for {count} positions", f"{count} entries")
 
     def _check_deformation(self) -> None:
         assert self.deformation is not None
         times = [k.time for k in self.deformation]
         if any(b <= a for a, b in pairwise(times)):
-            raise error_at("/deformation", "times must rise strictly")
+            raise error_at("/deformation", "times must rise strictly", "times that rise")
         if self.emission is not None:
-            raise error_at("/emission", "a deforming mesh cannot emit")
+            raise error_at("/emission", "a deforming mesh cannot emit", "null")
         counts = {len(k.positions) for k in self.deformation}
         if len(counts) > 1 or (self.positions is not None and counts != {len(self.positions)}):
-            raise error_at("/deformation", "every keyframe must have as many positions as the mesh")
+            raise error_at("/deformation", "a keyframe has not as many positions as the mesh", "equal counts")
 
 
 class Instance(_Shape):

@@ -26,7 +26,9 @@ class LookAtFrame(Model):
         size = sum(x * x for x in f) * sum(x * x for x in u)
         if sum(x * x for x in cross) <= 1e-12 * size:
             raise error_at(
-                "", "target must differ from origin, and up must not be parallel to the view direction"
+                "",
+                "target equals origin, or up is parallel to the view direction",
+                "a target away from the origin, and another up",
             )
         return self
 
@@ -55,7 +57,7 @@ class Scale(Model):
     @model_validator(mode="after")
     def _not_singular(self) -> Scale:
         if any(abs(x) < limits.MIN_SCALE for x in self.scale):
-            raise error_at("/scale", f"every component must be at least {limits.MIN_SCALE} in size")
+            raise error_at("/scale", "a factor is zero, or nearly", f"at least {limits.MIN_SCALE} in size")
         return self
 
 
@@ -69,7 +71,7 @@ class Matrix(Model):
     @model_validator(mode="after")
     def _affine_and_regular(self) -> Matrix:
         if tuple(self.matrix[3]) != (0.0, 0.0, 0.0, 1.0):
-            raise error_at("/matrix/3", "the last row must be [0, 0, 0, 1]")
+            raise error_at("/matrix/3", "the last row must be [0, 0, 0, 1]", "[0, 0, 0, 1]")
         a, b, c = (row[:3] for row in self.matrix[:3])
         det = (
             a[0] * (b[1] * c[2] - b[2] * c[1])
@@ -78,7 +80,7 @@ class Matrix(Model):
         )
         lengths = [sum(row[j] ** 2 for row in (a, b, c)) ** 0.5 for j in range(3)]
         if abs(det) <= 1e-9 * lengths[0] * lengths[1] * lengths[2] or det == 0:
-            raise error_at("/matrix", "the upper-left 3x3 part must be invertible")
+            raise error_at("/matrix", "squashes space flat", "an upper-left 3x3 part with an inverse")
         return self
 
 
@@ -86,13 +88,13 @@ class LookAt(Model):
     look_at: LookAtFrame
 
 
-_STEP_KEYS = ("translate", "rotate", "scale", "matrix", "look_at")
+STEP_KEYS = ("translate", "rotate", "scale", "matrix", "look_at")
 
 
 def _step_tag(value: Any) -> str | None:
     if isinstance(value, dict):
-        return next((key for key in _STEP_KEYS if key in value), None)
-    return next((key for key in _STEP_KEYS if hasattr(value, key)), None)
+        return next((key for key in STEP_KEYS if key in value), None)
+    return next((key for key in STEP_KEYS if hasattr(value, key)), None)
 
 
 Step = Annotated[
@@ -104,7 +106,7 @@ Step = Annotated[
     Discriminator(
         _step_tag,
         custom_error_type="transform_step",
-        custom_error_message="must be an object with one of the keys translate, rotate, scale, matrix, look_at",
+        custom_error_message="must be an object with one of the keys " + ", ".join(STEP_KEYS),
     ),
 ]
 
@@ -127,7 +129,7 @@ class Keyframes(Model):
     def _times_rise(self) -> Keyframes:
         times = [k.time for k in self.keyframes]
         if any(b <= a for a, b in pairwise(times)):
-            raise error_at("/keyframes", "keyframe times must rise strictly")
+            raise error_at("/keyframes", "keyframe times must rise strictly", "times that rise")
         return self
 
 

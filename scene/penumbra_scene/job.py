@@ -1,0 +1,273 @@
+"""Jobs as they cross HTTP: what is asked, how it stands, and lists and events of it."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from enum import StrEnum
+from typing import Annotated, Final
+
+from pydantic import Field, StringConstraints, model_validator
+
+from penumbra_scene.base import Float, Integer, Model, Name, NonNegative, NotBoolean, Positive, Unit, error_at
+from penumbra_scene.errors import Problem
+from penumbra_scene.film import Film
+from penumbra_scene.scene import Scene
+from penumbra_scene.settings import Integrator, Sampler, Stop
+
+_FRAMES: Final = r"^[0-9]{1,7}(-[0-9]{1,7}(x[0-9]{1,5})?)?(,[0-9]{1,7}(-[0-9]{1,7}(x[0-9]{1,5})?)?)*$"
+
+JobId = Annotated[str, StringConstraints(pattern=r"^[0-9A-Za-z_-]{1,64}$")]
+Count = Annotated[int, Field(ge=0), NotBoolean]
+
+
+class JobRequest(Model):
+    """A scene to render, and settings that take the place of the scene's own."""
+
+    scene: Scene
+    name: Name | None = None
+    """Default: the scene's name."""
+    priority: Annotated[int, Field(ge=-100, le=100), NotBoolean] = 0
+    """Higher ones go first."""
+    frames: Annotated[str, StringConstraints(pattern=_FRAMES, max_length=1000)] | None = None
+    """The frame to render, such as "12": the scene at the time frame / fps. Null is the scene at time 0.
+    Ranges ("1-240", "1-240x2", "1,5,9") are part of the format; as yet only single frames are accepted."""
+    fps: Annotated[Positive, Field(le=1000)] = 24.0
+    """Frames a second."""
+    film: Film | None = None
+    """Takes the place of the scene's whole section, as do the next three."""
+    sampler: Sampler | None = None
+    integrator: Integrator | None = None
+    stop: Stop | None = None
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> JobRequest:
+        if self.frames is not None and not re.fullmatch(r"[0-9]+", self.frames):
+            raise error_at("/frames", "ranges of frames are not rendered yet", 'null, or one such as "12"')
+        return self
+
+    @property
+    def time(self) -> float:
+        """Seconds: when the scene is looked at."""
+        return 0.0 if self.frames is None else int(self.frames) / self.fps
+
+    def resolved_scene(self) -> Scene:
+        """The scene as it will be rendered, with this request's sections in place of its own."""
+        sections = {key: getattr(self, key) for key in OVERRIDES}
+        return self.scene.model_copy(
+            update={key: value for key, value in sections.items() if value is not None}
+        )
+
+
+OVERRIDES: Final = ("film", "sampler", "integrator", "stop")
+"""The sections of a scene that a job may replace."""
+
+
+class JobState(StrEnum):
+    """A job's life."""
+
+    QUEUED = "queued"
+    COMPILING = "compiling"
+    RENDERING = "rendering"
+    PAUSED = "paused"
+    FINISHING = "finishing"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def ended(self) -> bool:
+        """Nothing will happen to the job any more."""
+        return self in (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
+
+
+class StopReason(StrEnum):
+    """Why a render ended."""
+
+    SAMPLES = "samples"
+    SECONDS = "seconds"
+    RELATIVE_ERROR = "relative_error"
+    CANCELLED = "cancelled"
+    FAILED = "failed"
+
+
+class Interval(Model):
+    """An interval that holds the true value with the stated confidence."""
+
+    low: NonNegative
+    high: NonNegative | None
+    """Null: no upper bound is known."""
+    confidence: Unit = 0.95
+
+
+class JobLinks(Model):
+    """Paths on the same host. What is not there yet answers 404."""
+
+    self: str
+    exr: str
+    thumbnail: str
+    heatmap: str
+    receipt: str
+    events: str
+    page: str
+
+
+class Progress(Model):
+    """How far a job is and how good its picture is."""
+
+    progress: Unit = 0.0
+    """Share of the work that is done, towards whichever stop rule is nearest."""
+    samples_done: NonNegative = 0.0
+    """Samples a pixel, on average."""
+    samples_planned: Count | None = None
+    """Samples a pixel at which the job stops; null: it stops by time or error."""
+    seconds: NonNegative = 0.0
+    """Of tracing."""
+    relmse: NonNegative | None = None
+    """Pooled variance over pooled squared mean; null while it is unknown."""
+    relative_error: NonNegative | None = None
+    """sqrt(relmse)."""
+    relative_error_interval: Interval | None = None
+    theta: Float | None = None
+    """Variance falls as samples^-theta; null while there are too few samples to tell."""
+    predicted_seconds: NonNegative | None = None
+    """Of tracing, still to go until the job stops; null where it cannot be told."""
+    thumbnail_revision: Count = 0
+    """Rises with every new picture; 0: there is none yet."""
+
+
+class JobStatus(Progress):
+    """A job as it stands."""
+
+    id: JobId
+    name: str
+    state: JobState
+    priority: Integer = 0
+    created: datetime
+    started: datetime | None = None
+    finished: datetime | None = None
+    width: Count
+    """Of the full frame, in pixels."""
+    height: Count
+    sampler: str
+    stop: Stop
+    stop_reason: StopReason | None = None
+    """Set once the job has ended."""
+    problem: Problem | None = None
+    """Why the job failed."""
+    devices: tuple[str, ...] = ()
+    """Ids of the devices that work, or worked, on it."""
+    links: JobLinks
+
+
+class JobPage(Model):
+    """A page of the list of jobs, newest first."""
+
+    items: tuple[JobStatus, ...]
+    next: str | None = None
+    """Pass it as `cursor` to get the next page; null at the end."""
+
+
+class ProgressEvent(Progress):
+    """A server-sent event of the type 'progress': a job has moved."""
+
+    id: JobId
+    state: JobState
+    stop_reason: StopReason | None = None
+    problem: Problem | None = None
+
+
+class ErrorPoint(Model):
+    """The error when so much had been spent."""
+
+    samples: NonNegative
+    """A pixel, on average."""
+    seconds: NonNegative
+    """Of tracing."""
+    relmse: NonNegative | None
+    relative_error: NonNegative | None
+    relative_error_interval: Interval | None = None
+
+
+class DeviceState(StrEnum):
+    """A device's life."""
+
+    STARTING = "starting"
+    IDLE = "idle"
+    BUSY = "busy"
+    LOST = "lost"
+    """Its process ended and could not be started again."""
+
+
+class DeviceStatus(Model):
+    """An OpenCL device and the process that drives it."""
+
+    id: str
+    name: str
+    platform: str
+    vendor: str = ""
+    version: str = ""
+    driver: str = ""
+    kind: str = ""
+    """cpu, gpu or accelerator."""
+    compute_units: Count = 0
+    memory_bytes: Count = 0
+    bit_class: str | None = None
+    """Devices of one class give the same bits for the same kernel."""
+    state: DeviceState
+    job: JobId | None = None
+    leases_done: Count = 0
+    crashes: Count = 0
+    samples_per_second: NonNegative | None = None
+    """Pixel samples, over the last leases."""
+
+
+class DevicePage(Model):
+    """All devices."""
+
+    items: tuple[DeviceStatus, ...]
+
+
+class AssetInfo(Model):
+    """An asset in the store."""
+
+    asset: str
+    """sha256:..., which is what a scene names it by."""
+    bytes: Count
+    kind: str
+    """image or mesh."""
+    format: str
+    """obj, ply, glb, exr, png ..."""
+    detail: str = ""
+    """Such as '120000 triangles' or '2048 x 1024 pixels'."""
+    created: bool = True
+    """False: the store had it already."""
+
+
+class Health(Model):
+    """Whether the service is well."""
+
+    status: Annotated[str, StringConstraints(pattern=r"^(ok|degraded)$")]
+    """degraded: it answers, but something is missing; `detail` says what."""
+    version: str
+    uptime_seconds: NonNegative
+    jobs: dict[str, int] = Field(default_factory=dict)
+    """How many there are in each state."""
+    devices: dict[str, int] = Field(default_factory=dict)
+    """How many there are in each state."""
+    detail: tuple[str, ...] = ()
+
+
+class Finding(Model):
+    """Something worth knowing about a scene that is no error."""
+
+    pointer: str
+    message: str
+
+
+class Validation(Model):
+    """The answer to a valid scene that was only to be checked."""
+
+    valid: bool = True
+    scene_hash: str
+    warnings: tuple[Finding, ...] = ()

@@ -1,0 +1,169 @@
+"""The receipt: what a render was, what it cost, how wrong it is, and what must be known to make it again."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from penumbra_scene.base import Bool, Float, Integer, Model, NonNegative, NotBoolean, Unit
+from penumbra_scene.film import Crop, Filter
+from penumbra_scene.job import Count, ErrorPoint, Interval, JobId, StopReason
+from penumbra_scene.settings import Stop
+
+
+class StageTime(Model):
+    """Seconds of one stage of a job."""
+
+    seconds: NonNegative
+    warm: Bool | None = None
+    """True: a cache or a running process answered; false: from scratch; null: there is no such choice."""
+
+
+class Stages(Model):
+    """Seconds by stage. Devices trace at the same time: `trace` adds up device seconds."""
+
+    queue: StageTime
+    compile: StageTime
+    """Building the OpenCL program."""
+    build: StageTime
+    """Decoding assets, making arrays and trees, uploading them."""
+    trace: StageTime
+    write: StageTime
+    """EXR, thumbnail, heat map."""
+    wall_seconds: NonNegative
+    """From submission to the last file."""
+
+
+class ReceiptFilm(Model):
+    """What was rendered."""
+
+    width: Count
+    height: Count
+    crop: Crop | None = None
+    filter: Filter
+    layers: tuple[str, ...] = ()
+    half: Bool = False
+
+
+class ReceiptError(Model):
+    """How wrong the picture is, as estimated from itself."""
+
+    relmse: NonNegative | None = None
+    """Null: the sampler gives no variance."""
+    relative_error: NonNegative | None = None
+    relative_error_interval: Interval | None = None
+    mse: NonNegative | None = None
+    """Mean over pixels and channels of the variance of the pixel's mean, (W / (m^2 sr))^2."""
+    theta: Float | None = None
+    """Fitted exponent: variance falls as samples^-theta."""
+    theta_interval: tuple[Float, Float] | None = None
+    method: str
+    """How variance was made, in words."""
+    curve: tuple[ErrorPoint, ...] = ()
+    """The error as it fell."""
+
+
+class Forecast(Model):
+    """What was predicted, and when, beside what was needed. Null: nothing was predicted."""
+
+    at_samples: NonNegative | None = None
+    """Samples a pixel at which the prediction was made."""
+    predicted_samples: NonNegative | None = None
+    predicted_seconds: NonNegative | None = None
+    real_samples: NonNegative
+    real_seconds: NonNegative
+
+
+class Counts(Model):
+    """Samples and pixels by what became of them."""
+
+    taken: Count
+    """Samples that count, all pixels and replicates together."""
+    lit: Count
+    """Of these, samples that carried light."""
+    rejected: Count
+    """Samples that were NaN, infinite or negative, and were left out."""
+    rejected_in: dict[str, int] = Field(default_factory=dict)
+    """By effect."""
+    pixels: Count
+    flagged_pixels: Count = 0
+    """Pixels whose error bar is not to be trusted: heavy tails, or too few samples that carried light."""
+    flagged_share: Unit = 0.0
+    empty_pixels: Count = 0
+    """Pixels without any sample (sampler `random`)."""
+
+
+class EffectReport(Model):
+    """An effect, and why it was compiled in or left out."""
+
+    name: str
+    reason: str
+    pointer: str | None = None
+    """JSON pointer to the place in the scene that calls for it."""
+
+
+class ReceiptDevice(Model):
+    """A device that worked on the job."""
+
+    id: str
+    name: str
+    platform: str
+    driver: str
+    bit_class: str
+    leases: Count = 0
+    seconds: NonNegative = 0.0
+
+
+class PlanStep(Model):
+    """A range of sample indices that every replicate of every pixel (or of one tile) has taken."""
+
+    first_sample: Count
+    sample_count: Count
+    tile: Crop | None = None
+    """Null: the whole window."""
+
+
+class Receipt(Model):
+    """A finished render."""
+
+    schema_version: Annotated[Literal[1], NotBoolean] = 1
+    job: JobId
+    name: str
+    created: datetime
+    started: datetime | None = None
+    finished: datetime
+    versions: dict[str, str]
+    """Of this package and of what it stands on."""
+    scene_hash: str
+    """sha256:..., of the scene as rendered in canonical JSON."""
+    program_hash: str | None = None
+    """Of the kernel's text and all that its build depends on."""
+    kernel_hash: str | None = None
+    """Of the kernels package's sources."""
+    time: Float = 0.0
+    """Seconds: when the scene was looked at."""
+    film: ReceiptFilm
+    sampler: str
+    seed: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")]
+    """As a string: JSON numbers lose bits beyond 2^53."""
+    replicates: Integer
+    samples: NonNegative
+    """A pixel, on average, all replicates together."""
+    stop: Stop
+    """The rule that was asked for."""
+    stop_reason: StopReason
+    stages: Stages
+    error: ReceiptError
+    forecast: Forecast
+    counts: Counts
+    effects_in: tuple[EffectReport, ...] = ()
+    effects_out: tuple[EffectReport, ...] = ()
+    devices: tuple[ReceiptDevice, ...] = ()
+    bit_class: str
+    """On a device of this class the plan below gives the same bits again; 'mixed' if there were several."""
+    plan: tuple[PlanStep, ...] = ()
+    redone_leases: Count = 0
+    """Work that had to be done again, after crashes and restarts."""
+    warnings: tuple[str, ...] = ()
