@@ -1,0 +1,151 @@
+"""The command line `penumbra`.
+
+Commands of the client live beside this file, one module a command; those that need the service's packages are
+found by the entry points `penumbra.commands`. Only the module of the command that is asked for is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module, metadata
+from typing import Any, Final, Protocol
+
+from penumbra_scene.exits import Exit
+
+ENTRY_POINTS: Final = "penumbra.commands"
+
+_DESCRIPTION: Final = """\
+Penumbra renders scenes by distributed ray tracing and says how wrong the pictures are.
+
+  penumbra serve                                keep a service up on 127.0.0.1:8484
+  penumbra submit scene.json --wait --out out   send it a scene, watch, fetch the results
+  penumbra render scene.json --out out          the same in this process, without a service
+"""
+
+_EPILOG: Final = """\
+environment:
+  PENUMBRA_SERVER    address of the service (default http://127.0.0.1:8484)
+  PENUMBRA_API_KEY   key for a service that wants one
+
+exit status:
+  0 done  1 a mistake of Penumbra's own  2 usage  3 invalid scene  4 no service answers  5 the job failed
+  6 the job was cancelled  7 device trouble  8 the service refused  130 stopped by Ctrl-C
+
+`penumbra COMMAND --help` explains a command with examples.
+"""
+
+
+class Command(Protocol):
+    """What a command is: a module of this folder, or an object that an entry point names."""
+
+    SUMMARY: str
+    """One line for `penumbra --help`."""
+    DESCRIPTION: str
+    """Paragraphs and examples for `penumbra COMMAND --help`."""
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the command's arguments."""
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Do it, and return the exit status."""
+
+
+BUILT_IN: Final = ("submit", "validate", "watch", "fetch", "jobs", "cancel", "pause", "resume")
+_SHARED_MODULE: Final = {"cancel": "steer", "pause": "steer", "resume": "steer"}
+"""Commands that one module makes."""
+
+
+def _built_in(name: str) -> Command:
+    module: Any = import_module(f"penumbra_client.cli.{_SHARED_MODULE.get(name, name)}")
+    command: Command = getattr(module, name.upper()) if name in _SHARED_MODULE else module
+    return command
+
+
+def _plugged_in() -> dict[str, metadata.EntryPoint]:
+    return {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
+
+
+def _load(point: metadata.EntryPoint) -> Command | None:
+    """The command, or None where the extra that it needs is not installed."""
+    try:
+        command: Command = point.load()
+    except ImportError:
+        return None
+    return command
+
+
+def _add(subparsers: Any, name: str, command: Command) -> None:
+    parser = subparsers.add_parser(
+        name,
+        help=command.SUMMARY,
+        description=command.DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    command.configure(parser)
+    parser.set_defaults(run=command.run)
+
+
+def make_parser(wanted: str | None) -> argparse.ArgumentParser:
+    """A parser that knows the `wanted` command, or, where it is None or unknown, all of them."""
+    parser = argparse.ArgumentParser(
+        prog="penumbra",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--version", action="version", version=f"penumbra {metadata.version('penumbra-render')}"
+    )
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, title="commands")
+    if wanted in BUILT_IN:
+        _add(subparsers, wanted, _built_in(wanted))
+        return parser
+    points = _plugged_in()
+    for name in [wanted] if wanted in points else [*points, *BUILT_IN]:
+        command = _built_in(name) if name in BUILT_IN else _load(points[name])
+        if command is not None:
+            _add(subparsers, name, command)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit status. Errors become one message on standard error."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    wanted = words[0] if words and not words[0].startswith("-") else None
+    if wanted is not None and wanted not in BUILT_IN:
+        missing = _missing_extra(wanted)
+        if missing:
+            print(missing, file=sys.stderr)
+            return Exit.USAGE
+    arguments = make_parser(wanted).parse_args(words)
+    try:
+        return int(arguments.run(arguments))
+    except KeyboardInterrupt:
+        print("penumbra: interrupted", file=sys.stderr)
+        return Exit.INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output has gone; keep Python from complaining once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Exit.OK
+    except Exception as error:
+        code = getattr(error, "exit_code", None)
+        if code is None:
+            raise
+        print(f"penumbra: {error}", file=sys.stderr)
+        return int(code)
+
+
+def _missing_extra(name: str) -> str | None:
+    """Why a command that exists cannot be used here, in words."""
+    point = _plugged_in().get(name)
+    if point is None or _load(point) is not None:
+        return None
+    return (
+        f"penumbra: `penumbra {name}` needs the service's packages, which are not installed: "
+        "pip install 'penumbra-render[service,cpu]'"
+    )

@@ -1,0 +1,88 @@
+"""A job's progress on standard error: a bar on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import Final
+
+from penumbra_scene.job import JobState, ProgressEvent
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+_LINE_STEP: Final = 0.25
+"""Share of the work between two lines where there is no terminal."""
+
+
+def percent(error: float | None) -> str:
+    """An error as people write it: three digits."""
+    return "unknown" if error is None else f"{100 * error:.3g} %"
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds as people write them."""
+    if seconds is None:
+        return "?"
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
+
+
+def _numbers(event: ProgressEvent) -> str:
+    words = [f"{event.samples_done:.4g} samples", f"error {percent(event.relative_error)}"]
+    if event.predicted_seconds is not None and not event.state.ended:
+        words.append(f"{duration(event.predicted_seconds)} to go")
+    return ", ".join(words)
+
+
+class ProgressView:
+    """Use it in a `with` statement and call it with every event."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._bar: Progress | None = None
+        self._next_line = 0.0
+        self._state: JobState | None = None
+        if not quiet and sys.stderr.isatty():
+            columns = (
+                TextColumn("{task.description:10}"),
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeElapsedColumn(),
+            )
+            self._bar = Progress(*columns, TextColumn("{task.fields[numbers]}"), console=Console(stderr=True))
+            self._task = self._bar.add_task("queued", total=1.0, numbers="")
+
+    def __enter__(self) -> ProgressView:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, event: ProgressEvent) -> None:
+        """Show it."""
+        if self._bar is not None:
+            done = 1.0 if event.state == JobState.DONE else event.progress
+            self._bar.update(
+                self._task, completed=done, description=event.state.value, numbers=_numbers(event)
+            )
+        elif not self._quiet:
+            self._line(event)
+
+    def _line(self, event: ProgressEvent) -> None:
+        if event.state == self._state and event.progress < self._next_line:
+            return
+        self._state = event.state
+        self._next_line = event.progress + _LINE_STEP
+        print(
+            f"{event.state.value:10} {100 * event.progress:3.0f} %  {_numbers(event)}",
+            file=sys.stderr,
+            flush=True,
+        )
