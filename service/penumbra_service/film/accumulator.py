@@ -1,0 +1,145 @@
+"""What is known of one tile: the maximal sum nodes received so far, merged as soon as siblings meet.
+
+Any order of arrival and any split into nodes ends in the same nodes, hence the same bits
+(penumbra_kernels.nodes). A barrier keeps samples that may yet be dropped apart from those that count: no node
+ever reaches across it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_kernels.layout import LAYERS
+from penumbra_kernels.nodes import SUM64, SumNode, Tile, merge, siblings
+
+
+class TileAccumulator:
+    """Nodes of one tile in order of their first sample, no two overlapping."""
+
+    def __init__(self, tile: Tile, replicates: int, nodes: list[SumNode] | None = None) -> None:
+        self.tile = tile
+        self.replicates = replicates
+        self.nodes: list[SumNode] = []
+        self.barrier = 0
+        """Samples [0, barrier) are decided to count; nodes on its two sides are not merged."""
+        for node in nodes or []:
+            self._check(node)
+            self._insert(node)
+
+    @property
+    def ranges(self) -> list[tuple[int, int]]:
+        """(first sample, count) of each node."""
+        return [(node.first_sample, node.sample_count) for node in self.nodes]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the nodes' arrays take."""
+        return sum(
+            node.sums.nbytes + (0 if node.layers is None else node.layers.nbytes) for node in self.nodes
+        )
+
+    def add(self, node: SumNode) -> bool:
+        """Take a node in; False where all of its samples were here already. Raises ValueError for one that
+        does not belong to this tile, has another number of replicates, or reaches across the barrier."""
+        self._check(node)
+        if node.first_sample < self.barrier < node.end:
+            raise ValueError(
+                f"samples [{node.first_sample}, {node.end}) reach across the barrier at {self.barrier}"
+            )
+        inserted = self._insert(node)
+        if inserted:
+            self._merge_all()
+        return inserted
+
+    def raise_barrier(self, barrier: int) -> None:
+        """Decide that all samples below `barrier` count, and merge what this allows."""
+        self.barrier = max(self.barrier, barrier)
+        self._merge_all()
+
+    def crosses(self, sample: int) -> bool:
+        """Whether a node has samples on both sides of `sample`."""
+        return any(node.first_sample < sample < node.end for node in self.nodes)
+
+    def holds(self, first: int, count: int) -> bool:
+        """Whether all samples of [first, first + count) are here."""
+        at = first
+        for node in self.nodes:
+            if node.first_sample <= at < node.end:
+                at = node.end
+        return at >= first + count
+
+    def fold(self, end: int) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        """Sums over samples [0, end) as (replicates, height, width) of SUM64 and of LAYERS (or None), nodes
+        added in index order in float64. Samples from `end` on are left out. Raises ValueError where some are
+        missing."""
+        if not self.holds(0, end) or self.crosses(end):
+            raise ValueError(f"tile {self.tile} holds samples {self.ranges}, which do not make up [0, {end})")
+        parts = [node for node in self.nodes if node.end <= end]
+        return _sum_of([node.sums for node in parts], self._shape), _layers_of(parts)
+
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        return (self.replicates, self.tile.height, self.tile.width)
+
+    def _check(self, node: SumNode) -> None:
+        if node.tile != self.tile:
+            raise ValueError(f"a node of {node.tile} cannot go into {self.tile}")
+        if node.sums.shape != self._shape:
+            raise ValueError(f"sums of shape {node.sums.shape} where {self._shape} is due")
+
+    def _insert(self, node: SumNode) -> bool:
+        """Put a node in its place. Aligned power-of-two ranges are nested or disjoint: one that lies inside
+        another is a duplicate; one that encloses others has the same bits as they would have, and takes their
+        place."""
+        at = bisect_left([n.first_sample for n in self.nodes], node.first_sample)
+        if at > 0 and self.nodes[at - 1].end > node.first_sample:
+            return False
+        if at < len(self.nodes):
+            there = self.nodes[at]
+            if there.first_sample == node.first_sample and there.sample_count >= node.sample_count:
+                return False
+        stop = at
+        while stop < len(self.nodes) and self.nodes[stop].first_sample < node.end:
+            stop += 1
+        self.nodes[at:stop] = [node]
+        return True
+
+    def _merge_all(self) -> None:
+        """Merge siblings until none are left: one pass with a stack, as carries run in binary addition."""
+        merged: list[SumNode] = []
+        for node in self.nodes:
+            while merged and self._may_merge(merged[-1], node):
+                node = merge(merged.pop(), node)
+            merged.append(node)
+        self.nodes = merged
+
+    def _may_merge(self, left: SumNode, right: SumNode) -> bool:
+        if not siblings(left, right):
+            return False
+        return bool(right.end <= self.barrier or left.first_sample >= self.barrier)
+
+
+def _sum_of(parts: list[NDArray[Any]], shape: tuple[int, int, int]) -> NDArray[Any]:
+    total = np.zeros(shape, SUM64)
+    for part in parts:
+        total["rgba"] += part["rgba"]
+        for name in ("taken", "lit", "rejected"):
+            total[name] += part[name]
+        total["rejected_in"] |= part["rejected_in"]
+    return total
+
+
+def _layers_of(parts: list[SumNode]) -> NDArray[Any] | None:
+    if not parts or any(part.layers is None for part in parts):
+        return None
+    assert parts[0].layers is not None
+    total: NDArray[Any] = np.zeros(parts[0].layers.shape, LAYERS)
+    total["object_id"] = parts[0].layers["object_id"]
+    for part in parts:
+        assert part.layers is not None
+        total["albedo_depth"] += part.layers["albedo_depth"]
+        total["normal"] += part.layers["normal"]
+    return total

@@ -1,0 +1,174 @@
+"""The error of a picture, without a reference: pooled variance against pooled signal, block by block.
+
+relmse of a block = mean V / (S + EPSILON), pooled over its pixels and R G B; of the picture, the mean over
+blocks by pixels. `relative error` is its square root. S estimates the mean of the true values' squares: mean
+m^2 - mean V is unbiased for it, and the square of the block's mean can only be less (Jensen), so S is the
+larger of the two: the difference alone is near 0 by chance where few samples bring all the light. The plain
+per-pixel quotient reads half the truth at 64 samples, since V and m^2 of one pixel err together: hence the
+pooling.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_kernels.nodes import Tile
+
+from penumbra_service.film import flags
+from penumbra_service.film.grid import POOL_BLOCK, block_starts
+from penumbra_service.film.statistics import PixelStatistics
+
+EPSILON: Final = 0.01
+"""Keeps dark blocks from asking for an error that nobody sees; in squared radiance."""
+
+
+@dataclass(frozen=True)
+class BlockSums:
+    """Sums over the pixels of each POOL_BLOCK block of a tile, as float64 rows x columns."""
+
+    pixels: NDArray[np.float64]
+    """Pixels whose variance is known; the sums below are over these alone."""
+    variance: NDArray[np.float64]
+    """Of V over pixels and R G B, divided by 3."""
+    square: NDArray[np.float64]
+    """Of m^2, likewise."""
+    mean: NDArray[np.float64]
+    """Of m, for R G B apart: rows x columns x 3."""
+
+
+@dataclass(frozen=True)
+class TileSummary:
+    """What the picture's error needs of one tile at one number of samples."""
+
+    blocks: BlockSums
+    all_pixels: int
+    untrusted: int
+    """Pixels with a bit of flags.UNTRUSTED."""
+    flagged: dict[str, int]
+    """Pixels by name of the flag."""
+    taken: int
+    lit: int
+    rejected: int
+    rejected_in: dict[str, int]
+    """Pixels by name of an effect that their rejected samples had met."""
+    maximum: float
+    """Largest mean of R, G or B."""
+
+
+def block_sums(pixels: PixelStatistics) -> BlockSums:
+    """Pool a tile. Blocks are aligned to the full frame, so they do not depend on the tiles."""
+    known = np.isfinite(pixels.variance[..., 0])
+    variance = np.where(known, pixels.variance[..., :3].mean(axis=-1), 0.0)
+    square = np.where(known, np.square(pixels.mean[..., :3]).mean(axis=-1), 0.0)
+    tile = pixels.tile
+    mean = np.where(known[..., None], pixels.mean[..., :3], 0.0)
+    return BlockSums(_pool(known, tile), _pool(variance, tile), _pool(square, tile), _pool(mean, tile))
+
+
+def _pool(values: NDArray[Any], tile: Tile) -> NDArray[np.float64]:
+    rows = np.add.reduceat(
+        values.astype(np.float64), block_starts(tile.y, tile.height, POOL_BLOCK), axis=0, dtype=np.float64
+    )
+    result: NDArray[np.float64] = np.add.reduceat(rows, block_starts(tile.x, tile.width, POOL_BLOCK), axis=1)
+    return result
+
+
+def summarize(pixels: PixelStatistics, bits: NDArray[np.uint32]) -> TileSummary:
+    """A tile's share in the picture's error; `bits` as pixel_flags gives them."""
+    return TileSummary(
+        blocks=block_sums(pixels),
+        all_pixels=bits.size,
+        untrusted=int(np.count_nonzero(bits & flags.UNTRUSTED)),
+        flagged={name: int(np.count_nonzero(bits & bit)) for name, bit in flags.NAMES.items()},
+        taken=int(pixels.taken.sum()),
+        lit=int(pixels.lit.sum()),
+        rejected=int(pixels.rejected.sum()),
+        rejected_in={
+            name: int(np.count_nonzero(pixels.rejected_in & bit)) for name, bit in flags.EFFECTS.items()
+        },
+        maximum=float(pixels.mean[..., :3].max(initial=0.0)),
+    )
+
+
+@dataclass(frozen=True)
+class ImageError:
+    """The error of a whole picture. Fields are NaN where no pixel's variance is known."""
+
+    relmse: float
+    deviation: float
+    """Relative standard deviation of `relmse`, from its spread over blocks."""
+    mse: float
+    """Mean of V over pixels and R G B."""
+    psnr: float
+    """dB, against the largest mean in the picture."""
+    pixels: int
+    """Pixels whose variance is known."""
+
+    @property
+    def known(self) -> bool:
+        return self.pixels > 0
+
+    @property
+    def relative_error(self) -> float:
+        """sqrt(relmse)."""
+        return math.sqrt(self.relmse) if self.known else math.nan
+
+    def upper(self, confidence: float) -> float:
+        """relmse with its allowance: what a stop rule compares with target^2."""
+        return self.relmse * (1 + normal_quantile(confidence) * self.deviation)
+
+    def relative_interval(self, confidence: float) -> tuple[float, float]:
+        """The relative error's interval."""
+        if not self.known:
+            return math.nan, math.nan
+        low = self.relmse * max(1 - normal_quantile(confidence) * self.deviation, 0.0)
+        return math.sqrt(low), math.sqrt(self.upper(confidence))
+
+
+def normal_quantile(confidence: float) -> float:
+    """Two-sided: 1.96 for 0.95."""
+    return NormalDist().inv_cdf((1 + confidence) / 2)
+
+
+def image_error(summaries: list[TileSummary]) -> ImageError:
+    """Of a window, from its tiles. The sum is exactly rounded (math.fsum), so neither their order nor their
+    size counts."""
+    pixels = np.concatenate([s.blocks.pixels.ravel() for s in summaries])
+    variance = np.concatenate([s.blocks.variance.ravel() for s in summaries])
+    square = np.concatenate([s.blocks.square.ravel() for s in summaries])
+    mean = np.concatenate([s.blocks.mean.reshape(-1, 3) for s in summaries])
+    has = pixels > 0
+    count, variance, square, mean = pixels[has], variance[has], square[has], mean[has]
+    total = float(count.sum())
+    if total == 0:
+        return ImageError(math.nan, math.nan, math.nan, math.nan, 0)
+    least = np.square(mean / count[:, None]).mean(axis=1)
+    quotient = (variance / count) / (np.maximum((square - variance) / count, least) + EPSILON)
+    relmse = math.fsum(count * quotient) / total
+    mse = math.fsum(variance) / total
+    maximum = max(s.maximum for s in summaries)
+    return ImageError(
+        relmse, _deviation(count / total, quotient, relmse), mse, _psnr(mse, maximum), int(total)
+    )
+
+
+def _deviation(weights: NDArray[Any], quotient: NDArray[Any], mean: float) -> float:
+    """Relative standard deviation of the weighted mean of n blocks: sqrt(n/(n-1) sum w^2 (q - mean)^2) /
+    mean. Blocks differ by what they show as well as by chance, so that this errs on the safe side."""
+    n = len(quotient)
+    if mean == 0.0:
+        return 0.0
+    if n < 2:
+        return 1.0
+    return math.sqrt(n / (n - 1) * math.fsum((weights * (quotient - mean)) ** 2)) / mean
+
+
+def _psnr(mse: float, maximum: float) -> float:
+    if mse == 0.0:
+        return math.inf
+    return 10 * math.log10(maximum * maximum / mse) if maximum > 0 else math.nan

@@ -1,0 +1,194 @@
+"""The film: every tile's sum nodes, of which only the recently used ones are in memory.
+
+One writer: the thread that runs the job. A 4K frame of 8 replicates is some 3 GB; tiles beyond `memory_limit`
+are written to their files and read back when a node for them arrives. A snapshot writes the tiles that
+changed and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Final
+
+from penumbra_kernels.nodes import SumNode, Tile, aligned_ranges
+
+from penumbra_service.film.accumulator import TileAccumulator
+from penumbra_service.film.error import TileSummary, summarize
+from penumbra_service.film.grid import TileGrid
+from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel_statistics
+from penumbra_service.film.tilefile import TileStore, decode, encode, tile_name
+
+MEMORY_LIMIT: Final = 256 * 1024 * 1024
+"""Bytes of tiles that a film keeps in memory."""
+
+
+class Film:
+    """Sums of a window's pixels.
+
+    key names the render (scene, program, sampling): tile files of another one are not read.
+    deterministic: the sampler is not random, so that variance is not known.
+    """
+
+    def __init__(
+        self,
+        grid: TileGrid,
+        replicates: int,
+        store: TileStore,
+        key: str,
+        *,
+        deterministic: bool = False,
+        memory_limit: int = MEMORY_LIMIT,
+    ) -> None:
+        self.grid = grid
+        self.replicates = replicates
+        self.deterministic = deterministic
+        self.barrier = 0
+        self._store = store
+        self._key = key
+        self._memory_limit = memory_limit
+        self._tiles = list(grid)
+        self._known = frozenset(self._tiles)
+        self._resident: OrderedDict[Tile, TileAccumulator] = OrderedDict()
+        self._bytes = 0
+        self._dirty: set[Tile] = set()
+        self._ranges: dict[Tile, list[tuple[int, int]]] = {}
+        self._lost: list[Tile] = []
+
+    @property
+    def tiles(self) -> list[Tile]:
+        """All tiles, row by row."""
+        return self._tiles
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of tiles in memory."""
+        return self._bytes
+
+    def restore(self, barrier: int) -> None:
+        """Read the store's tiles back, as a snapshot or a crash left them. `barrier`: samples below it are
+        decided to count. Files that are broken, of another render, or reach across the barrier are
+        deleted."""
+        self.barrier = barrier
+        names = set(self._store.names())
+        for tile in self._tiles:
+            name = tile_name(tile)
+            if name not in names:
+                continue
+            accumulator = self._read(tile)
+            if accumulator is None:
+                self._store.delete(name)
+                continue
+            self._ranges[tile] = accumulator.ranges
+            self._keep(accumulator)
+
+    def add(self, node: SumNode) -> bool:
+        """Take a node in; False where its samples were here already. Raises ValueError for one that does not
+        fit, OSError where a tile cannot be written."""
+        accumulator = self._acquire(node.tile)
+        before = accumulator.nbytes
+        added = accumulator.add(node)
+        if added:
+            self._changed(accumulator, before)
+        self._evict(node.tile)
+        return added
+
+    def raise_barrier(self, barrier: int) -> None:
+        """Decide that samples below `barrier` count; tiles merge across it when they are next used."""
+        self.barrier = max(self.barrier, barrier)
+
+    def missing(self, tile: Tile, first: int, end: int) -> list[tuple[int, int]]:
+        """Aligned ranges (first, count) of samples in [first, end) that the tile lacks."""
+        gaps: list[tuple[int, int]] = []
+        at = first
+        for start, count in self._ranges.get(tile, []):
+            if start > at:
+                gaps += aligned_ranges(at, min(start, end))
+            at = max(at, start + count)
+            if at >= end:
+                break
+        if at < end:
+            gaps += aligned_ranges(at, end)
+        return gaps
+
+    def complete(self, tile: Tile, end: int) -> bool:
+        """Whether the tile has all of its samples [0, end)."""
+        return not self.missing(tile, 0, end)
+
+    def pixels(self, tile: Tile, end: int) -> PixelStatistics:
+        """Statistics of samples [0, end). Raises ValueError where some are missing."""
+        sums, _ = self._acquire(tile).fold(end)
+        self._evict(tile)
+        return pixel_statistics(tile, sums, deterministic=self.deterministic)
+
+    def summary(self, tile: Tile, end: int) -> tuple[PixelStatistics, TileSummary]:
+        """Statistics of samples [0, end), and the tile's share in the picture's error."""
+        pixels = self.pixels(tile, end)
+        return pixels, summarize(pixels, pixel_flags(pixels, deterministic=self.deterministic))
+
+    def accumulator(self, tile: Tile) -> TileAccumulator:
+        """A tile's nodes, for reading."""
+        accumulator = self._acquire(tile)
+        self._evict(tile)
+        return accumulator
+
+    def take_lost(self) -> list[Tile]:
+        """Tiles whose file turned out broken since the last call: they start again."""
+        lost, self._lost = self._lost, []
+        return lost
+
+    def flush(self) -> int:
+        """Write every tile that changed since it was last written; how many those were. Raises OSError."""
+        dirty = [tile for tile in self._tiles if tile in self._dirty]
+        for tile in dirty:
+            self._write(self._resident[tile])
+        return len(dirty)
+
+    def _acquire(self, tile: Tile) -> TileAccumulator:
+        if tile not in self._known:
+            raise ValueError(f"{tile} is no tile of this film")
+        accumulator = self._resident.get(tile)
+        if accumulator is None:
+            accumulator = self._read(tile) if tile in self._ranges else None
+            if accumulator is None:
+                if self._ranges.pop(tile, None):
+                    self._lost.append(tile)
+                accumulator = TileAccumulator(tile, self.replicates)
+            self._keep(accumulator)
+        self._resident.move_to_end(tile)
+        if accumulator.barrier < self.barrier:
+            before = accumulator.nbytes
+            accumulator.raise_barrier(self.barrier)
+            self._changed(accumulator, before)
+        return accumulator
+
+    def _read(self, tile: Tile) -> TileAccumulator | None:
+        data = self._store.read(tile_name(tile))
+        if data is None:
+            return None
+        accumulator = decode(data, tile, self.replicates, self._key)
+        if accumulator is None or accumulator.barrier > self.barrier or accumulator.crosses(self.barrier):
+            return None
+        return accumulator
+
+    def _keep(self, accumulator: TileAccumulator) -> None:
+        self._resident[accumulator.tile] = accumulator
+        self._bytes += accumulator.nbytes
+        self._evict(accumulator.tile)
+
+    def _changed(self, accumulator: TileAccumulator, bytes_before: int) -> None:
+        self._ranges[accumulator.tile] = accumulator.ranges
+        self._dirty.add(accumulator.tile)
+        self._bytes += accumulator.nbytes - bytes_before
+
+    def _evict(self, keep: Tile) -> None:
+        while self._bytes > self._memory_limit and len(self._resident) > 1:
+            tile = next(t for t in self._resident if t != keep)
+            accumulator = self._resident[tile]
+            if tile in self._dirty:
+                self._write(accumulator)
+            del self._resident[tile]
+            self._bytes -= accumulator.nbytes
+
+    def _write(self, accumulator: TileAccumulator) -> None:
+        self._store.write(tile_name(accumulator.tile), encode(accumulator, self._key))
+        self._dirty.discard(accumulator.tile)

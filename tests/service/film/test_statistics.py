@@ -1,0 +1,227 @@
+"""Means, variances and flags against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from penumbra_kernels.layout import SUM
+from penumbra_kernels.nodes import Tile
+from penumbra_service.film import flags
+from penumbra_service.film.error import EPSILON, image_error, normal_quantile, summarize
+from penumbra_service.film.statistics import (
+    interval,
+    outlier_share,
+    pixel_flags,
+    pixel_statistics,
+    t_quantile,
+)
+
+R = 8
+SIX_SIGMA = 4.9
+"""Two-sided normal quantile of a false-alarm rate of 1e-6."""
+
+
+def _sums(values, taken=1, lit=None):  # type: ignore[no-untyped-def]
+    """(R, h, w) gray sums."""
+    values = np.asarray(values, np.float64)
+    sums = np.zeros(values.shape, SUM)
+    sums["rgba"][..., :3] = values[..., None]
+    sums["rgba"][..., 3] = taken
+    sums["taken"] = taken
+    sums["lit"] = (values > 0) * np.asarray(taken) if lit is None else lit
+    return sums
+
+
+def _tile(sums):  # type: ignore[no-untyped-def]
+    return Tile(0, 0, sums.shape[2], sums.shape[1])
+
+
+def _stats(sums, **more):  # type: ignore[no-untyped-def]
+    return pixel_statistics(_tile(sums), sums, **more)
+
+
+def test_variance_of_a_mean_by_hand():
+    pixels = _stats(_sums(np.array([2.0, 4.0]).reshape(2, 1, 1)))
+    assert pixels.mean[0, 0].tolist() == [3.0, 3.0, 3.0, 1.0]
+    assert pixels.variance[0, 0].tolist() == [1.0, 1.0, 1.0, 0.0]  # ((2-3)^2 + (4-3)^2) / (2 * 1)
+
+
+@pytest.mark.parametrize("replicates", [2, 4, 8, 16])
+def test_variance_is_unbiased_for_a_uniform_distribution(replicates):  # type: ignore[no-untyped-def]
+    """n uniform numbers a replicate: the mean's variance is 1 / (12 n R)."""
+    rng = np.random.default_rng(replicates)
+    n, pixels_count = 4, 64 * 64
+    values = rng.random((n, replicates, 64, 64)).sum(axis=0)
+    pixels = _stats(_sums(values, taken=n))
+    v = pixels.variance[..., 0]
+    true = 1 / (12 * n * replicates)
+    assert abs(v.mean() - true) < SIX_SIGMA * v.std() / math.sqrt(pixels_count)
+
+
+def test_variance_is_unbiased_where_replicates_have_different_counts():
+    rng = np.random.default_rng(3)
+    counts = rng.integers(0, 4, (R, 64, 64))
+    numbers = rng.random((4, R, 64, 64))
+    used = np.arange(4)[:, None, None, None] < counts
+    pixels = _stats(_sums((numbers * used).sum(axis=0), taken=counts))
+    there = counts > 0
+    reff = there.sum(axis=0)
+    true = (np.where(there, 1 / (12.0 * np.maximum(counts, 1)), 0)).sum(axis=0) / np.maximum(reff, 1) ** 2
+    known = reff >= 2
+    error = (pixels.variance[..., 0] - true)[known]
+    assert abs(error.mean()) < SIX_SIGMA * error.std() / math.sqrt(error.size)
+    assert np.array_equal(pixels.replicates, reff)
+
+
+def test_it_is_the_delete_one_jackknife():
+    rng = np.random.default_rng(4)
+    values = rng.random((R, 1, 1))
+    m = values[:, 0, 0]
+    left_out = np.array([np.delete(m, r).mean() for r in range(R)])
+    jackknife = (R - 1) / R * ((left_out - left_out.mean()) ** 2).sum()
+    assert _stats(_sums(values)).variance[0, 0, 0] == pytest.approx(jackknife, rel=1e-6)
+
+
+def test_empty_replicates_are_left_out_and_empty_pixels_flagged():
+    taken = np.zeros((4, 1, 3))
+    taken[:, 0, 0] = [1, 1, 0, 0]
+    taken[0, 0, 1] = 1
+    values = np.array([1.0, 3.0, 0.0, 0.0]).reshape(4, 1, 1) * (taken > 0)
+    pixels = _stats(_sums(values, taken=taken))
+    bits = pixel_flags(pixels)[0]
+    assert pixels.mean[0, :, 0].tolist() == [2.0, 1.0, 0.0]
+    assert pixels.variance[0, 0, 0] == 1.0
+    assert np.isnan(pixels.variance[0, 1:, 0]).all()
+    assert not bits[0] & (flags.EMPTY | flags.NO_VARIANCE)
+    assert bits[1] & flags.NO_VARIANCE
+    assert not bits[1] & flags.EMPTY
+    assert bits[2] & flags.EMPTY
+
+
+def test_a_deterministic_sampler_has_no_variance():
+    pixels = _stats(_sums(np.ones((1, 8, 8))), deterministic=True)
+    assert np.isnan(pixels.variance).all()
+    assert (pixel_flags(pixels, deterministic=True) == flags.DETERMINISTIC).all()
+    assert not image_error([summarize(pixels, pixel_flags(pixels, deterministic=True))]).known
+
+
+def test_rejected_samples_are_counted_and_name_their_effects():
+    sums = _sums(np.ones((2, 1, 1)))
+    sums["rejected"] = [[[2]], [[1]]]
+    sums["rejected_in"] = [[[flags.EFFECTS["gloss"]]], [[flags.EFFECTS["lens"]]]]
+    pixels = _stats(sums)
+    bits = int(pixel_flags(pixels)[0, 0])
+    assert pixels.rejected[0, 0] == 3
+    assert bits & flags.REJECTED
+    assert bits >> flags.EFFECT_SHIFT == flags.EFFECTS["gloss"] | flags.EFFECTS["lens"]
+    summary = summarize(pixels, pixel_flags(pixels))
+    assert {name for name, count in summary.rejected_in.items() if count} == {"gloss", "lens"}
+
+
+def test_grubbs_threshold_against_the_tables():
+    """Grubbs and Beck (1972): two-sided critical G at 5 % is 2.126 for 8 and 1.481 for 4 values."""
+    for replicates, g in ((8, 2.126), (4, 1.481)):
+        share = outlier_share(replicates, 0.05)
+        assert math.sqrt(share * (replicates - 1)) == pytest.approx(g, abs=1e-3)
+        assert outlier_share(replicates) < (replicates - 1) / replicates
+
+
+def test_one_spike_flags_its_block_and_no_other():
+    rng = np.random.default_rng(5)
+    values = 1 + 0.01 * rng.standard_normal((R, 16, 24))
+    values[3, 9, 10] = 50.0
+    bits = pixel_flags(_stats(_sums(values)))
+    assert bits[9, 10] & flags.HEAVY_TAILED
+    assert np.count_nonzero(bits & flags.HEAVY_TAILED) == 1
+    block = np.zeros((16, 24), bool)
+    block[8:16, 8:16] = True
+    assert np.array_equal((bits & flags.BLOCK) != 0, block)
+
+
+def test_blocks_are_aligned_to_the_full_frame():
+    values = np.ones((R, 8, 8)) + 0.01 * np.random.default_rng(6).standard_normal((R, 8, 8))
+    values[0, 0, 0] = 50.0
+    sums = _sums(values)
+    bits = pixel_flags(pixel_statistics(Tile(5, 6, 8, 8), sums))
+    block = np.zeros((8, 8), bool)
+    block[:2, :3] = True  # pixels 5-7 x 6-7 of the full frame
+    assert np.array_equal((bits & flags.BLOCK) != 0, block)
+
+
+def test_rounding_is_no_outlier():
+    values = np.full((R, 8, 8), 3.0)
+    values[0, 2, 2] += 3e-7
+    assert not pixel_flags(_stats(_sums(values))).any()
+
+
+def test_normal_pixels_are_flagged_at_the_stated_rate():
+    rng = np.random.default_rng(8)
+    n = 256
+    bits = pixel_flags(_stats(_sums(10 + rng.standard_normal((R, n, n)), taken=1)))
+    found = np.count_nonzero(bits & flags.HEAVY_TAILED)
+    expected = 1e-4 * n * n
+    assert abs(found - expected) < SIX_SIGMA * math.sqrt(expected) + 1
+
+
+def test_few_lit_samples_are_flagged_but_black_and_lit_pixels_are_not():
+    values = np.zeros((R, 8, 32))
+    lit = np.zeros((R, 8, 32))
+    values[:, 0, 0] = np.arange(R)
+    lit[0, 0, 0] = 3
+    values[:, :, 16:] = 8
+    lit[:, :, 16:] = 8
+    bits = pixel_flags(_stats(_sums(values, taken=8, lit=lit)))
+    assert bits[0, 0] & flags.FEW_LIT
+    assert (bits[:, :8] & flags.BLOCK).all()
+    assert not bits[:, 8:].any()
+
+
+@pytest.mark.parametrize("replicates", [4, 8, 16])
+def test_t_interval_covers(replicates):  # type: ignore[no-untyped-def]
+    rng = np.random.default_rng(replicates)
+    n = 128
+    pixels = _stats(_sums(rng.standard_normal((replicates, n, n)) + 5))
+    low, high = interval(pixels)
+    covered = ((low <= 5) & (5 <= high))[..., 0].mean()
+    assert abs(covered - 0.95) < SIX_SIGMA * math.sqrt(0.95 * 0.05 / n**2)
+
+
+def test_quantiles_against_the_tables():
+    assert t_quantile(0.95, 7) == pytest.approx(2.3646, abs=1e-4)
+    assert normal_quantile(0.95) == pytest.approx(1.95996, abs=1e-5)
+
+
+def test_relmse_of_a_known_picture():
+    """Signal s and noise sigma known: relmse = sigma^2 / R / (s^2 + eps), mse = sigma^2 / R."""
+    rng = np.random.default_rng(9)
+    n, s, sigma = 128, 2.0, 0.5
+    pixels = _stats(_sums(s + sigma * rng.standard_normal((R, n, n))))
+    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    mse = sigma**2 / R
+    assert error.mse == pytest.approx(mse, rel=SIX_SIGMA * math.sqrt(2 / (R - 1)) / n)
+    assert error.relmse == pytest.approx(mse / (s * s + EPSILON), rel=0.03)
+    assert error.relative_error == math.sqrt(error.relmse)
+    assert error.psnr == pytest.approx(10 * math.log10(pixels.mean[..., :3].max() ** 2 / error.mse))
+    low, high = error.relative_interval(0.95)
+    assert low < error.relative_error < high
+
+
+def test_relmse_does_not_collapse_where_one_replicate_has_all_the_light():
+    """A firefly's m^2 - V is 0 on average: pooling keeps the quotient from being V / V per pixel."""
+    rng = np.random.default_rng(10)
+    n, p, bright = 256, 0.01, 100.0
+    values = bright * (rng.random((R, n, n)) < p)
+    pixels = _stats(_sums(values))
+    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    true = bright**2 * p * (1 - p) / R / ((bright * p) ** 2 + EPSILON)
+    assert error.relmse == pytest.approx(true, rel=0.25)
+    naive = float(np.mean(pixels.variance[..., 0] / (pixels.mean[..., 0] ** 2 + EPSILON)))
+    assert naive < 0.2 * true
+
+
+def test_a_black_picture_has_no_error():
+    pixels = _stats(_sums(np.zeros((R, 32, 32))))
+    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    assert (error.relmse, error.deviation, error.mse) == (0.0, 0.0, 0.0)
