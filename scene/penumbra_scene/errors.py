@@ -190,7 +190,7 @@ def resolve(loc: Sequence[str | int], body: Any, *, absent_last: bool = False) -
 
 
 def _may_skip(value: Any, key: str | int) -> bool:
-    """Whether `key` can be a mere tag of `value`: its `type` word, a transform's form or step, a colour's form;
+    """Whether `key` can be a mere tag of `value`: its `type` word, a form of transform or colour;
     an index into what the user wrote without brackets; or the mark that blames a key itself."""
     if isinstance(key, int):
         return not isinstance(value, (list, tuple))

@@ -23,5 +23,7 @@ MAX_STEPS: Final = 64
 MAX_ERRORS: Final = 50
 """Errors that one answer lists."""
 MAX_TEXTURE_SIDE: Final = 16384
+MAX_TEXELS: Final = 1 << 27
+"""Pixels of all of a scene's textures together: 2 GiB on the device."""
 MAX_BODY_BYTES: Final = 64 * 1024 * 1024
 MAX_ASSET_BYTES: Final = 2 * 1024 * 1024 * 1024
