@@ -113,7 +113,7 @@ NODE8: Final = np.dtype(
         ("hi_y", np.float32, (8,)),
         ("lo_z", np.float32, (8,)),
         ("hi_z", np.float32, (8,)),
-        ("child", np.uint32, (8,)),  # inner: node index; leaf: see accel/ for the bits
+        ("child", np.uint32, (8,)),  # inner: node index; leaf: LEAF_* bits
         ("pad", np.uint32, (8,)),
     ]
 )
@@ -150,8 +150,12 @@ PLANE: Final = np.dtype(
         ("point", np.float32, (3,)),
         ("shape", np.uint32),
         ("normal", np.float32, (4,)),
-        ("tangent_u", np.float32, (4,)),  # d(uv)/d(position): uv = dot(position - point, tangent)
+        ("tangent_u", np.float32, (4,)),  # u = dot(position - point, xyz) + w; point is the plane's nearest to the anchor
         ("tangent_v", np.float32, (4,)),
+        ("first_keyframe", np.uint32),  # of its motion; the fields above are then in the plane's own frame
+        ("keyframe_count", np.uint32),  # 0: still
+        ("pad0", np.uint32),
+        ("pad1", np.uint32),
     ]
 )
 
@@ -180,14 +184,14 @@ MATERIAL: Final = np.dtype(
         ("texture0", np.uint32),  # or NONE
         ("color1", np.float32, (3,)),  # specular color, transmission color, transmittance
         ("texture1", np.uint32),
-        ("alpha_x", np.float32),
+        ("alpha_x", np.float32),  # GGX; both 0 for a perfect mirror or pane
         ("alpha_y", np.float32),
-        ("rotation", np.float32),  # radians
+        ("rotation", np.float32),  # radians, in [0, 2 pi)
         ("ior", np.float32),
         ("exponent", np.float32),
         ("type", np.uint32),  # MATERIAL_*
         ("flags", np.uint32),
-        ("pad0", np.uint32),
+        ("albedo", np.uint32),  # index of its first table in `albedo_table`, or NONE
     ]
 )
 
@@ -267,6 +271,17 @@ CONSTANTS: Final[dict[str, int]] = {
     "SHAPE_HAS_UVS": 2,
     "SHAPE_FLIP": 4,  # the transform mirrors: the outside is on the other side of the winding
     "SHAPE_QUAD": 8,  # two triangles whose barycentrics make the quad's uv
+    "LEAF_FLAG": 1 << 31,  # child words: without it, the index of an inner node
+    "LEAF_TYPE_SHIFT": 29,  # two bits: what the leaf holds
+    "LEAF_TRIANGLES": 0,  # bits 27-28 number of packets (0: nothing), bits 0-26 first packet
+    "LEAF_ROUND": 1,  # bit 28: 0 sphere, 1 disc; bits 0-27 its index
+    "LEAF_INSTANCE": 2,  # bits 0-28 its index
+    "LEAF_DEFORMING": 3,  # bits 0-26 packet of the first keyframe; those of the others follow
+    "LEAF_COUNT_SHIFT": 27,
+    "LEAF_PACKET_MASK": (1 << 27) - 1,
+    "LEAF_DISC_SHIFT": 28,
+    "LEAF_ROUND_MASK": (1 << 28) - 1,
+    "LEAF_INSTANCE_MASK": (1 << 29) - 1,
     "MATERIAL_DIFFUSE": 0,
     "MATERIAL_PHONG": 1,
     "MATERIAL_MIRROR": 2,
@@ -278,6 +293,8 @@ CONSTANTS: Final[dict[str, int]] = {
     "MATERIAL_BLACK": 8,
     "MATERIAL_FLAG_FRESNEL": 1,
     "MATERIAL_FLAG_COMPENSATE": 2,
+    "ALBEDO_NODES": 32,  # heights in a table of lost light, see materials/compensation.cl
+    "ALBEDO_AZIMUTHS": 5,  # azimuths in it where the roughness is anisotropic
     "TEXTURE_CONSTANT": 0,
     "TEXTURE_CHECKER": 1,
     "TEXTURE_IMAGE": 2,

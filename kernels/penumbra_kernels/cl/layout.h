@@ -5,6 +5,17 @@
 #define SHAPE_HAS_UVS 2u
 #define SHAPE_FLIP 4u
 #define SHAPE_QUAD 8u
+#define LEAF_FLAG 2147483648u
+#define LEAF_TYPE_SHIFT 29u
+#define LEAF_TRIANGLES 0u
+#define LEAF_ROUND 1u
+#define LEAF_INSTANCE 2u
+#define LEAF_DEFORMING 3u
+#define LEAF_COUNT_SHIFT 27u
+#define LEAF_PACKET_MASK 134217727u
+#define LEAF_DISC_SHIFT 28u
+#define LEAF_ROUND_MASK 268435455u
+#define LEAF_INSTANCE_MASK 536870911u
 #define MATERIAL_DIFFUSE 0u
 #define MATERIAL_PHONG 1u
 #define MATERIAL_MIRROR 2u
@@ -16,6 +27,8 @@
 #define MATERIAL_BLACK 8u
 #define MATERIAL_FLAG_FRESNEL 1u
 #define MATERIAL_FLAG_COMPENSATE 2u
+#define ALBEDO_NODES 32u
+#define ALBEDO_AZIMUTHS 5u
 #define TEXTURE_CONSTANT 0u
 #define TEXTURE_CHECKER 1u
 #define TEXTURE_IMAGE 2u
@@ -165,8 +178,12 @@ typedef struct {
   float normal[4];
   float tangent_u[4];
   float tangent_v[4];
+  uint first_keyframe;
+  uint keyframe_count;
+  uint pad0;
+  uint pad1;
 } PlaneData;
-// sizeof(PlaneData) == 64
+// sizeof(PlaneData) == 80
 
 typedef struct {
   uint material;
@@ -202,7 +219,7 @@ typedef struct {
   float exponent;
   uint type;
   uint flags;
-  uint pad0;
+  uint albedo;
 } Material;
 // sizeof(Material) == 64
 

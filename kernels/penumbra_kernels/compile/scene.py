@@ -66,7 +66,7 @@ def compile_scene(scene: Scene, assets: Assets, time: float = 0.0) -> CompiledSc
         "shutter_table": shutter_table,
         "keyframes": np.concatenate([geometry.keyframes, camera_keyframes]),
         "materials": materials,
-        "albedo_table": compile_albedo_table(),
+        "albedo_table": compile_albedo_table(materials),
         "textures": textures,
         "texels": texels,
     }
