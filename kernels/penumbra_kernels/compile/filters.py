@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Profile = Callable[[Array], Array]
 
 CELLS = 256
-"""Of a curved filter's half axis. In a cell the filter is a straight line: off by at most f'' / (8 CELLS^2)."""
+"""Of a curved filter: half an axis. In a cell it is a straight line, off by at most f'' / (8 CELLS^2)."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -103,7 +103,7 @@ def compile_filter(filter: Filter) -> NDArray[np.float32]:  # noqa: A002
     else:
         knots = _knots(profile, _end(filter))
         values = profile(knots)
-        values[np.abs(values) < 1e-14] = 0.0
+        values[np.abs(values) < 1e-14 * values[0]] = 0.0
         table = density_table(knots, values, _integrals(profile, knots))
     table[1] = table[1] * table[1]
     return table

@@ -21,3 +21,6 @@ static inline ulong pixel_key(const ulong seed, const uint x, const uint y, cons
 
 // A uniform number in [0, 1): 24 bits, so that it never rounds up to 1.
 static inline float uniform_of(const uint bits) { return (float)(bits >> 8) * 0x1p-24f; }
+
+// Keeps keys of the whole frame apart from those of pixels.
+#define FRAME_SALT 0x9216d5d98979fb1bul

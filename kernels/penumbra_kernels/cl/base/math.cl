@@ -11,11 +11,15 @@
 #define FABS(x) __builtin_fabsf(x)
 #define FMA(a, b, c) __builtin_fmaf(a, b, c)
 #define CTZ(x) ((uint)__builtin_ctz(x))
+#define CLZ(x) ((uint)__builtin_clz(x))      // of a uint that is not 0
+#define CLZ64(x) ((uint)__builtin_clzl(x))   // of a ulong that is not 0
 #else
 #define SQRT(x) sqrt(x)
 #define FABS(x) fabs(x)
 #define FMA(a, b, c) fma(a, b, c)
 #define CTZ(x) (31u - clz((x) & (0u - (x))))
+#define CLZ(x) ((uint)clz((uint)(x)))
+#define CLZ64(x) ((uint)clz((ulong)(x)))
 #endif
 
 #define MIN(a, b) ((a) < (b) ? (a) : (b))

@@ -1,0 +1,48 @@
+// The first two dimensions of the Sobol sequence, and Owen's nested uniform scrambling by hashing.
+// Numbers in [0, 1) are kept as 32-bit fixed point; "reversed" means with the most significant bit in bit 0.
+#include "base/math.cl"
+
+#if PENUMBRA_BUILTINS
+#define REVERSE_BITS(x) __builtin_bitreverse32(x)
+#else
+#define REVERSE_BITS(x) reverse_bits(x)
+static inline uint reverse_bits(uint x) {
+  x = (x >> 16) | (x << 16);
+  x = ((x >> 8) & 0x00ff00ffu) | ((x & 0x00ff00ffu) << 8);
+  x = ((x >> 4) & 0x0f0f0f0fu) | ((x & 0x0f0f0f0fu) << 4);
+  x = ((x >> 2) & 0x33333333u) | ((x & 0x33333333u) << 2);
+  return ((x >> 1) & 0x55555555u) | ((x & 0x55555555u) << 1);
+}
+#endif
+
+// Scrambles a reversed number: each bit is flipped by a hash of the bits below it, the more significant ones. A hash in the
+// manner of Laine and Karras (2011) with the constants of Vegdahl (2021, "Building a Better LK Hash").
+static inline uint scramble_reversed(uint x, const uint seed) {
+  x ^= x * 0x3d20adeau;
+  x += seed;
+  x *= (seed >> 16) | 1u;
+  x ^= x * 0x05526c56u;
+  x ^= x * 0x53a22864u;
+  return x;
+}
+
+static inline uint owen_scramble(const uint x, const uint seed) {
+  return REVERSE_BITS(scramble_reversed(REVERSE_BITS(x), seed));
+}
+
+// Second Sobol dimension from the first (the bit-reversed index): multiplication by the Pascal matrix modulo 2, which
+// factors into one step for each bit of a bit's number (Ahmed 2024, "An Implementation Algorithm of 2D Sobol Sequence").
+static inline uint pascal(uint x) {
+  x ^= x >> 16;
+  x ^= (x & 0xff00ff00u) >> 8;
+  x ^= (x & 0xf0f0f0f0u) >> 4;
+  x ^= (x & 0xccccccccu) >> 2;
+  return x ^ ((x & 0xaaaaaaaau) >> 1);
+}
+
+// Owen-scrambled first dimension at an index: the bit reversal that makes it meets the one that scrambling needs.
+static inline uint sobol_x(const uint index, const uint seed) { return REVERSE_BITS(scramble_reversed(index, seed)); }
+
+static inline uint sobol_y(const uint index, const uint seed) {
+  return owen_scramble(pascal(REVERSE_BITS(index)), seed);
+}

@@ -1,0 +1,24 @@
+// sobol (default): the two-dimensional Sobol sequence, Owen-scrambled, once for each dimension; dimensions are padded by
+// scrambling the index as well (Burley 2020, "Practical Hash-based Owen Scrambling", section 5). Any dimension and
+// any 64-bit index works: each 2^32 elements start a sequence of their own.
+#include "sampling/strata.cl"
+#include "sampling/owen.cl"
+
+static inline ulong sobol_key(const Sampler *s, const ulong dimension, const ulong element) {
+  const ulong key = hash_combine(s->key, dimension);
+  const ulong epoch = element >> 32;
+  return epoch ? hash_combine(key, epoch) : key;
+}
+
+static inline float sobol_1d(const Sampler *s, const ulong dimension, const ulong element, const uint strata) {
+  const ulong key = sobol_key(s, dimension, element);
+  const uint shuffled = owen_scramble((uint)element, (uint)key);
+  return uniform_of(sobol_x(shuffled, (uint)(key >> 32)));
+}
+
+static inline float2 sobol_2d(const Sampler *s, const ulong dimension, const ulong element, const uint strata) {
+  const ulong key = sobol_key(s, dimension, element);
+  const ulong more = mix64(key);
+  const uint shuffled = owen_scramble((uint)element, (uint)key);
+  return (float2)(uniform_of(sobol_x(shuffled, (uint)(more >> 32))), uniform_of(sobol_y(shuffled, (uint)more)));
+}
