@@ -99,9 +99,9 @@ INSTANCE: Final = np.dtype(
         ("keyframe_count", np.uint32),  # 0: still
         ("object_id", np.uint32),
         ("light_offset", np.uint32),  # add to its shapes' `light`: a copy of an emitting prototype is a light of its own
+        ("inner_first_keyframe", np.uint32),  # a motion within the prototype, applied before the instance's own
+        ("inner_keyframe_count", np.uint32),
         ("pad0", np.uint32),
-        ("pad1", np.uint32),
-        ("pad2", np.uint32),
     ]
 )
 

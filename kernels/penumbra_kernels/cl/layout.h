@@ -130,9 +130,9 @@ typedef struct {
   uint keyframe_count;
   uint object_id;
   uint light_offset;
+  uint inner_first_keyframe;
+  uint inner_keyframe_count;
   uint pad0;
-  uint pad1;
-  uint pad2;
 } Instance;
 // sizeof(Instance) == 128
 
