@@ -1,0 +1,38 @@
+// Which light to ask: Walker's alias method over `light_table` (Walker 1977), an entry a light, the environment last.
+// The lit point is passed for choices that depend on it; this one does not.
+//
+// Uniform numbers have 24 bits. The table is built for just these (compile/alias.py), so that a light's pmf is exactly the
+// share of them that chooses it, for a million lights of any powers; lights without power are never chosen.
+#include "base/types.h"
+
+// Lights that can be asked, the environment included.
+static inline uint light_entries(const SceneData *scene) {
+  return scene->light_count + (scene->environment_light != NONE ? 1u : 0u);
+}
+
+// A light by the uniform number u in [0, 1), and the probability of choosing it: 0 where there is none to choose.
+static inline uint light_choose(const SceneData *scene, const float3 p, const float u, float *pmf) {
+#if PENUMBRA_MANY_LIGHTS
+  const uint count = light_entries(scene);
+  *pmf = 0.0f;
+  if (count == 0u) return 0u;
+  const ulong scaled = (ulong)(uint)(u * 0x1p24f) * count;
+  const uint entry = (uint)(scaled >> 24);
+  const float rest = (float)((uint)scaled & 0xffffffu) * 0x1p-24f;
+  const uint light = rest < scene->light_table[entry].threshold ? entry : scene->light_table[entry].other;
+  *pmf = scene->light_table[light].pmf;
+  return light;
+#else
+  *pmf = 1.0f;
+  return 0u;
+#endif
+}
+
+// The probability with which light_choose finds a light.
+static inline float light_pmf(const SceneData *scene, const float3 p, const uint light) {
+#if PENUMBRA_MANY_LIGHTS
+  return scene->light_table[light].pmf;
+#else
+  return 1.0f;
+#endif
+}

@@ -1,0 +1,194 @@
+// Quad light: the parallelogram origin + a u + b v, a and b in [0, 1], emitting towards u x v (and back where two-sided).
+// World frame, metres; densities per solid angle at the lit point p.
+//
+// Three ways to sample it, chosen by p and the quad alone, so that the density of a hit is that of a sample:
+//   area       where it looks small: the density per solid angle hardly differs over it, and (a, b) = u keeps any grid a grid.
+//              Always with PENUMBRA_LIGHT_AREA_SAMPLING.
+//   rectangle  near rectangles: Urena, Fajardo, King 2013, "An Area-Preserving Parametrization for Spherical Rectangles".
+//   fan        near parallelograms, and rectangles that are near but subtend little (edge-on, thin), where Urena's sums of
+//              angles cancel: two spherical triangles about the origin's corner.
+#include "lights/light_sample.h"
+#include "lights/placement.cl"
+#include "lights/spherical_triangle.cl"
+
+#define QUAD_BY_AREA 0u
+#define QUAD_BY_RECTANGLE 1u
+#define QUAD_BY_FAN 2u
+
+// A flat light of half diameter s at distance d looks small where s^2 < d^2 / 128: over it cos / r^2 = h / r^3 then varies
+// by less than ((1 + x) / (1 - x))^3 = 1.7, x = sqrt(1 / 128), from end to end, even seen edge-on.
+#define FLAT_FAR 0.0078125f
+// Rounding of the angles in it, about 2^-22, is then at most 2^-15 of the solid angle: a shift of a sample by 3e-5 of it.
+#define RECTANGLE_SOLID_ANGLE 0.0078125f
+// |cos| between edges that counts as a right angle: the rounding of two rotated edges.
+#define RIGHT_ANGLE_COSINE 0x1p-20f
+
+typedef struct {
+  float3 o, u, v;
+  float3 p_error;   // of any point on it, as the intersector sees it
+} Quad;
+
+// The quad as seen from p.
+typedef struct {
+  float3 o;             // relative to p
+  float3 n;             // unit, on p's side
+  float height;         // of p above the plane, > 0
+  float area;
+  uint strategy;        // QUAD_BY_*
+  float solid_angle;    // rectangle, fan
+  float first_half_angle;  // fan: half the solid angle of the triangle 0 1 2
+} QuadView;
+
+static inline Quad quad_at(const SceneData *scene, const __global Light *light, const float time) {
+  Quad q;
+  q.o = load3(light->position);
+  q.u = load3(light->direction);
+  q.v = load3(light->axis_v);
+  float3 reach = abs3(q.o) + abs3(q.u) + abs3(q.v);
+  float m[3][4], inverse[3][4];
+  if (area_light_placement(scene, light, time, m, inverse)) {
+    const bool mirrored = determinant(m) < 0.0f;  // outside stays outside: swapped edges turn the normal back
+    const float3 u = transform_vector(m, q.u);
+    const float3 v = transform_vector(m, q.v);
+    reach = transform_magnitude(m, reach);
+    q.o = transform_point(m, q.o);
+    q.u = mirrored ? v : u;
+    q.v = mirrored ? u : v;
+  }
+  q.p_error = reach * PLACED_ERROR;
+  return q;
+}
+
+// Corner i of the quad relative to p, counter-clockwise from its origin.
+static inline float3 quad_corner(const Quad *q, const QuadView *view, const uint i) {
+  if (i == 0u) return view->o;
+  if (i == 1u) return view->o + q->u;
+  if (i == 2u) return view->o + q->u + q->v;
+  return view->o + q->v;
+}
+
+// Triangle 0 1 2 or 0 2 3 with the origin's corner as its apex.
+static inline SphericalTriangle quad_triangle(const Quad *q, const QuadView *view, const uint second) {
+  return spherical_triangle(quad_corner(q, view, 1u + second), view->o, quad_corner(q, view, 2u + second),
+                            view->height * view->area);
+}
+
+static inline bool quad_is_rectangle(const Quad *q) {
+  return sqr(dot3(q->u, q->v)) <= sqr(RIGHT_ANGLE_COSINE) * dot3(q->u, q->u) * dot3(q->v, q->v);
+}
+
+// False where p sees no emitting side: behind, in the plane (to rounding), or the quad has no area.
+static inline bool quad_view(const Quad *q, const float3 p, const bool two_sided, QuadView *view) {
+  const float3 cross = cross3(q->u, q->v);
+  view->area = length3(cross);
+  if (!(view->area > 0.0f)) return false;
+  view->o = q->o - p;
+  const float3 n = cross * (1.0f / view->area);
+  const float signed_height = -dot3(view->o, n);
+  view->height = FABS(signed_height);
+  if (!(view->height > dot3(abs3(n), q->p_error + abs3(p) * GAMMA(2)))) return false;
+  if (signed_height < 0.0f && !two_sided) return false;
+  view->n = signed_height < 0.0f ? -n : n;
+
+  view->strategy = QUAD_BY_AREA;
+  view->solid_angle = 0.0f;
+  view->first_half_angle = 0.0f;
+#if !PENUMBRA_LIGHT_AREA_SAMPLING
+  const float3 half_u = 0.5f * q->u;
+  const float3 half_v = 0.5f * q->v;
+  const float3 center = view->o + half_u + half_v;
+  const float size = dot3(half_u, half_u) + dot3(half_v, half_v) + 2.0f * FABS(dot3(half_u, half_v));
+  if (size >= FLAT_FAR * dot3(center, center)) {
+    view->first_half_angle = quad_triangle(q, view, 0u).half_angle;
+    view->solid_angle = 2.0f * (view->first_half_angle + quad_triangle(q, view, 1u).half_angle);
+    view->strategy = view->solid_angle >= RECTANGLE_SOLID_ANGLE && quad_is_rectangle(q) ? QUAD_BY_RECTANGLE : QUAD_BY_FAN;
+  }
+#endif
+  return true;
+}
+
+static inline float quad_pdf(const QuadView *view, const float distance) {
+  return view->strategy == QUAD_BY_AREA ? flat_area_pdf(distance, view->height, view->area) : 1.0f / view->solid_angle;
+}
+
+// Solid angle of the rectangle between the foot of the eye and a corner (x, y) of its plane, with signs.
+static inline float corner_angle(const float x, const float y, const float height) {
+  return atan2_f(x * y, height * SQRT(x * x + y * y + height * height));
+}
+
+static inline float sine(const float angle) {  // for |angle| <= 2 pi
+  float s, c;
+  sincos_2pi(FABS(angle) * INV_2PI_F, &s, &c);
+  return copy_sign(1.0f, angle) * s;
+}
+
+// x at which a strip, of elevations beta0 to beta1 at x = 0 and reaching from x = 0, has solid angle `swept` (with x's sign).
+// Urena et al. 2013, figure 2: cu = sign(fu) / sqrt(fu^2 + b0^2), xu = height cu / sqrt(1 - cu^2), fu = (cos(swept) b0 + b1) /
+// sin(swept), b0 = -sin(beta0), b1 = sin(beta1). Left as it is, 1 - cu^2 cancels for heights below 1 % of x; as a product,
+// (height / x)^2 = 4 sin((d + a) / 2) sin((d - a) / 2) cos((e + a) / 2) cos((e - a) / 2) / sin(a)^2 with a = |swept|,
+// d = beta1 - beta0, e = beta1 + beta0.
+static inline float strip_end(const float swept, const float beta0, const float beta1, const float height) {
+  const float a = FABS(swept);
+  const float d = 0.5f * (beta1 - beta0);
+  const float e = 0.5f * (beta1 + beta0);
+  const float product = 4.0f * sine(d + 0.5f * a) * sine(d - 0.5f * a) * sine(HALF_PI_F - (e + 0.5f * a)) *
+                        sine(HALF_PI_F - (e - 0.5f * a));
+  return copy_sign(height * sine(a) / SQRT(MAX(product, 0.0f)), swept);
+}
+
+// Urena et al. 2013, section 4, in the frame of the edges with the plane at z = -height. Solid angles are sums of
+// corner_angle instead of internal angles, whose acos lose digits where p is near the plane. Returns (a, b).
+static inline float2 quad_rectangle_point(const Quad *q, const QuadView *view, const float2 u) {
+  const float width = length3(q->u);
+  const float depth = length3(q->v);
+  const float z = view->height;
+  const float x0 = dot3(view->o, q->u) / width;
+  const float y0 = dot3(view->o, q->v) / depth;
+  const float y1 = y0 + depth;
+  const float swept = u.x * view->solid_angle + (corner_angle(x0, y1, z) - corner_angle(x0, y0, z));
+  const float a = CLAMP01((strip_end(swept, atan2_f(y0, z), atan2_f(y1, z), z) - x0) / width);
+  // Along v the sine of the elevation is uniform between its ends.
+  const float x = a * width + x0;
+  const float d2 = x * x + z * z;
+  const float h0 = y0 / SQRT(d2 + y0 * y0);
+  const float h1 = y1 / SQRT(d2 + y1 * y1);
+  const float h = h0 + u.y * (h1 - h0);
+  const float y = h * SQRT(d2 / MAX((1.0f - h) * (1.0f + h), 0x1p-100f));
+  return (float2)(a, CLAMP01((y - y0) / depth));
+}
+
+// u.x sweeps the arc from corner 1 over 2 to 3, u.y goes out from corner 0. Returns (a, b).
+static inline float2 quad_fan_point(const Quad *q, const QuadView *view, const float2 u) {
+  const float swept = u.x * 0.5f * view->solid_angle;
+  const uint second = swept >= view->first_half_angle ? 1u : 0u;
+  const SphericalTriangle t = quad_triangle(q, view, second);
+  const float e = spherical_triangle_cut(&t, second ? swept - view->first_half_angle : swept);
+  const float3 edge = second ? -q->u : q->v;
+  const float f = spherical_triangle_reach(&t, view->o, quad_corner(q, view, 1u + second) + e * edge, u.y);
+  return second ? (float2)(f * (1.0f - e), f) : (float2)(f, f * e);
+}
+
+static inline bool quad_light_sample(const SceneData *scene, const __global Light *light, const float3 p,
+                                     const float time, const float2 u, LightSample *out) {
+  const Quad q = quad_at(scene, light, time);
+  QuadView view;
+  if (!quad_view(&q, p, (light->flags & LIGHT_TWO_SIDED) != 0u, &view)) return false;
+  float2 ab = u;
+  if (view.strategy == QUAD_BY_RECTANGLE) ab = quad_rectangle_point(&q, &view, u);
+  if (view.strategy == QUAD_BY_FAN) ab = quad_fan_point(&q, &view, u);
+  out->p = q.o + (ab.x * q.u + ab.y * q.v);
+  out->p_error = q.p_error;
+  out->n = view.n;
+  if (!aim(p, out)) return false;
+  out->pdf = quad_pdf(&view, out->distance);
+  return usable(out->pdf);
+}
+
+static inline float quad_light_hit_pdf(const SceneData *scene, const __global Light *light, const float3 p,
+                                       const float distance, const float time) {
+  const Quad q = quad_at(scene, light, time);
+  QuadView view;
+  if (!quad_view(&q, p, (light->flags & LIGHT_TWO_SIDED) != 0u, &view)) return 0.0f;
+  const float pdf = quad_pdf(&view, distance);
+  return usable(pdf) ? pdf : 0.0f;
+}

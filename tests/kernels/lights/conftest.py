@@ -1,0 +1,234 @@
+"""A bench for cl/lights: scenes of hand-written light records, sampled on a device.
+
+Positions in metres, world frame; densities per solid angle at the lit point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from penumbra_kernels.device import Device
+from penumbra_kernels.layout import ALIAS, CONSTANTS, INSTANCE, KEYFRAME, LIGHT, SHAPE, TRIANGLE
+
+Array = NDArray[Any]
+NONE = CONSTANTS["NONE"]
+
+EVERYTHING = {
+    "PENUMBRA_AREA_LIGHTS": 1,
+    "PENUMBRA_DELTA_LIGHTS": 1,
+    "PENUMBRA_MANY_LIGHTS": 1,
+    "PENUMBRA_ENVIRONMENT": 1,
+    "PENUMBRA_ENVIRONMENT_IMAGE": 1,
+    "PENUMBRA_MOTION": 1,
+    "PENUMBRA_INSTANCING": 1,
+    "PENUMBRA_LIGHT_AREA_SAMPLING": 0,
+}
+
+SCENE_ARGUMENTS = (
+    "const __global Light *lights, const __global Alias *light_table, const __global float *emitter_cdf, "
+    "const __global float4 *environment, const __global Instance *instances, const __global Keyframe *keyframes, "
+    "const __global ShapeData *shapes, const __global TriangleData *triangles, const __global float *positions, "
+    "const uint light_count, const uint environment_light"
+)
+
+TEXT = """
+#include "lights/lights.cl"
+static inline SceneData scene_of(ARGUMENTS) {
+  SceneData s;
+  s.lights = lights; s.light_table = light_table; s.emitter_cdf = emitter_cdf; s.environment = environment;
+  s.instances = instances; s.keyframes = keyframes; s.shapes = shapes; s.triangles = triangles;
+  s.positions = positions; s.light_count = light_count; s.environment_light = environment_light;
+  return s;
+}
+#define SCENE scene_of(lights, light_table, emitter_cdf, environment, instances, keyframes, shapes, triangles, positions, \\
+                       light_count, environment_light)
+__kernel void sample(__global float *out, const __global float *p, const __global float *u, const uint light,
+                     const float time, ARGUMENTS) {
+  const size_t i = get_global_id(0);
+  const SceneData scene = SCENE;
+  LightSample s;
+  const bool ok = light_sample(&scene, light, load3(p + 3 * i), time, u[3 * i + 2], (float2)(u[3 * i], u[3 * i + 1]), &s);
+  __global float *o = out + 20 * i;
+  for (int k = 0; k < 20; ++k) o[k] = 0.0f;
+  if (!ok) return;
+  o[0] = s.wi.x; o[1] = s.wi.y; o[2] = s.wi.z; o[3] = s.distance;
+  o[4] = s.radiance.x; o[5] = s.radiance.y; o[6] = s.radiance.z; o[7] = s.pdf;
+  o[8] = s.p.x; o[9] = s.p.y; o[10] = s.p.z; o[11] = s.delta ? 2.0f : 1.0f;
+  o[12] = s.n.x; o[13] = s.n.y; o[14] = s.n.z; o[15] = s.p_error.x; o[16] = s.p_error.y; o[17] = s.p_error.z;
+}
+__kernel void hit_pdf(__global float *out, const __global float *p, const __global float *wi, const __global float *ng,
+                      const __global float *distance, const __global uint *primitive, const uint light,
+                      const float time, ARGUMENTS) {
+  const size_t i = get_global_id(0);
+  const SceneData scene = SCENE;
+  Surface hit;
+  hit.ng = load3(ng + 3 * i);
+  hit.primitive = primitive[i];
+  out[i] = light_hit_pdf(&scene, light, load3(p + 3 * i), &hit, load3(wi + 3 * i), distance[i], time);
+}
+__kernel void emitted(__global float *out, const __global float *wo, const __global float *ng, const uint shape,
+                      ARGUMENTS) {
+  const size_t i = get_global_id(0);
+  const SceneData scene = SCENE;
+  Surface hit;
+  hit.ng = load3(ng + 3 * i);
+  hit.shape = shape;
+  hit.instance = NONE;
+  const float3 radiance = light_emitted(&scene, &hit, load3(wo + 3 * i));
+  for (int k = 0; k < 3; ++k) out[3 * i + k] = k == 0 ? radiance.x : (k == 1 ? radiance.y : radiance.z);
+}
+__kernel void choose(__global float *out, const __global float *u, ARGUMENTS) {
+  const size_t i = get_global_id(0);
+  const SceneData scene = SCENE;
+  float pmf;
+  const uint light = light_choose(&scene, (float3)(0.0f), u[i], &pmf);
+  out[3 * i] = (float)light;
+  out[3 * i + 1] = pmf;
+  out[3 * i + 2] = light_pmf(&scene, (float3)(0.0f), light);
+}
+__kernel void sky(__global float *out, const __global float *d, ARGUMENTS) {
+  const size_t i = get_global_id(0);
+  const SceneData scene = SCENE;
+  const float3 wi = load3(d + 3 * i);
+  const float3 radiance = environment_radiance(&scene, wi);
+  out[4 * i] = radiance.x; out[4 * i + 1] = radiance.y; out[4 * i + 2] = radiance.z;
+  out[4 * i + 3] = environment_pdf(&scene, wi);
+}
+""".replace("ARGUMENTS", SCENE_ARGUMENTS)
+
+
+def light(kind: str, **values: Any) -> Array:
+    """One LIGHT record in the world frame; white radiance 1 unless told."""
+    record = np.zeros((), LIGHT)
+    record["type"] = CONSTANTS[f"LIGHT_{kind.upper()}"]
+    record["instance"] = NONE
+    record["radiance"] = 1.0
+    for key, value in values.items():
+        record[key] = value
+    return record
+
+
+@dataclass
+class LightScene:
+    """Device arrays of a scene that has nothing but lights."""
+
+    lights: list[Array]
+    light_table: Array = field(default_factory=lambda: np.zeros(1, ALIAS))
+    emitter_cdf: Array = field(default_factory=lambda: np.zeros(1, np.float32))
+    environment: Array = field(default_factory=lambda: np.zeros((1, 4), np.float32))
+    instances: Array = field(default_factory=lambda: np.zeros(1, INSTANCE))
+    keyframes: Array = field(default_factory=lambda: np.zeros(1, KEYFRAME))
+    shapes: Array = field(default_factory=lambda: np.zeros(1, SHAPE))
+    triangles: Array = field(default_factory=lambda: np.zeros(1, TRIANGLE))
+    positions: Array = field(default_factory=lambda: np.zeros((1, 3), np.float32))
+    environment_light: int = NONE
+
+
+@dataclass
+class Samples:
+    """Light samples; only those that the light gave."""
+
+    index: Array
+    wi: Array
+    distance: Array
+    radiance: Array
+    pdf: Array
+    p: Array
+    n: Array
+    p_error: Array
+    delta: Array
+
+
+class Bench:
+    """cl/lights built with some flags on a device."""
+
+    def __init__(self, device: Device, flags: Mapping[str, int]) -> None:
+        self.device = device
+        program = device.build("lights_test.cl", {**EVERYTHING, **flags}, TEXT)
+        self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
+
+    def _run(self, kernel: str, out: Array, count: int, scene: LightScene, *arguments: Any) -> None:
+        buffers = [self.device.upload(a) if isinstance(a, np.ndarray) else a for a in arguments]
+        names = ("light_table", "emitter_cdf", "environment", "instances", "keyframes", "shapes", "triangles", "positions")
+        world = [self.device.upload(np.array(scene.lights, LIGHT))]
+        world += [self.device.upload(getattr(scene, name)) for name in names]
+        own = len(scene.lights) - (scene.environment_light != NONE)
+        target = self.device.allocate(out.nbytes)
+        counts = (np.uint32(own), np.uint32(scene.environment_light))
+        self._kernels[kernel](self.device.queue, (count,), None, target, *buffers, *world, *counts)
+        self.device.download(target, out)
+
+    def sample(self, scene: LightScene, p: Array, u: Array, index: int = 0, time: float = 0.0) -> Samples:
+        """Samples of a light at points p (n, 3) or one point, by the uniform numbers u (n, 2 or 3)."""
+        count = len(u)
+        points = np.ascontiguousarray(np.broadcast_to(np.asarray(p, np.float32), (count, 3)))
+        numbers = np.full((count, 3), 0.5, np.float32)
+        numbers[:, : u.shape[1]] = u
+        out = np.empty((count, 20), np.float32)
+        self._run("sample", out, count, scene, points, numbers, np.uint32(index), np.float32(time))
+        kept = np.flatnonzero(out[:, 11])
+        o = out[kept]
+        return Samples(
+            kept, o[:, 0:3], o[:, 3], o[:, 4:7], o[:, 7], o[:, 8:11], o[:, 12:15], o[:, 15:18], o[:, 11] == 2.0
+        )
+
+    def hit_pdf(
+        self,
+        scene: LightScene,
+        p: Array,
+        wi: Array,
+        distance: Array,
+        ng: Array,
+        primitive: Array | int = 0,
+        index: int = 0,
+        time: float = 0.0,
+    ) -> Array:
+        """Densities of directions that met the light."""
+        count = len(wi)
+        points = np.ascontiguousarray(np.broadcast_to(np.asarray(p, np.float32), (count, 3)))
+        out = np.empty(count, np.float32)
+        primitives = np.ascontiguousarray(np.broadcast_to(np.asarray(primitive, np.uint32), (count,)))
+        numbers = [np.asarray(a, np.float32) for a in (wi, ng, distance)]
+        tail = (np.uint32(index), np.float32(time))
+        self._run("hit_pdf", out, count, scene, points, *numbers, primitives, *tail)
+        return out
+
+    def emitted(self, scene: LightScene, wo: Array, ng: Array, shape: int = 0) -> Array:
+        out = np.empty((len(wo), 3), np.float32)
+        self._run("emitted", out, len(wo), scene, np.asarray(wo, np.float32), np.asarray(ng, np.float32), np.uint32(shape))
+        return out
+
+    def choose(self, scene: LightScene, u: Array) -> tuple[Array, Array, Array]:
+        """Light, its pmf as light_choose tells, and as light_pmf does."""
+        out = np.empty((len(u), 3), np.float32)
+        self._run("choose", out, len(u), scene, np.asarray(u, np.float32))
+        return out[:, 0].astype(np.int64), out[:, 1], out[:, 2]
+
+    def sky(self, scene: LightScene, d: Array) -> tuple[Array, Array]:
+        """Radiance and density of the environment in directions d."""
+        out = np.empty((len(d), 4), np.float32)
+        self._run("sky", out, len(d), scene, np.asarray(d, np.float32))
+        return out[:, :3], out[:, 3]
+
+
+@pytest.fixture(scope="session")
+def bench(device: Device) -> Bench:
+    """The program with everything in, sampling by solid angle."""
+    return Bench(device, {})
+
+
+@pytest.fixture(scope="session")
+def area_bench(device: Device) -> Bench:
+    """The same, sampling by area."""
+    return Bench(device, {"PENUMBRA_LIGHT_AREA_SAMPLING": 1})
+
+
+def uniform(count: int, seed: int, dims: int = 2) -> Array:
+    """Random numbers in [0, 1) of 24 bits, as the samplers make them."""
+    bits = np.random.default_rng(seed).integers(0, 1 << 24, (count, dims))
+    return (bits * 2.0**-24).astype(np.float32)
