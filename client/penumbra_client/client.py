@@ -34,6 +34,7 @@ from penumbra_client.errors import (
     cannot_write,
 )
 from penumbra_client.http import Connection
+from penumbra_client.results import RESULTS
 from penumbra_client.scenefile import (
     JsonObject,
     content_hash,
@@ -44,13 +45,6 @@ from penumbra_client.scenefile import (
 )
 from penumbra_client.watch import watch
 
-RESULTS: Final[Mapping[str, str]] = {
-    "exr": "result.exr",
-    "thumbnail": "thumbnail.png",
-    "heatmap": "heatmap.png",
-    "receipt": "receipt.json",
-}
-"""What a finished job leaves, and the file name that it is fetched under."""
 _TRIES: Final = 3
 """Times that a submission is sent where the connection breaks; its Idempotency-Key keeps it one job."""
 _BLOCK: Final = 1 << 20

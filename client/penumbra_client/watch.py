@@ -37,12 +37,18 @@ def watch(
                 yield event
                 if event.state.ended:
                     return
+        except _EndSeenError:
+            return
         except UnreachableError:
             if waited >= patience:
                 raise
         sleep(max(wait, parser.retry_seconds or 0.0))
         waited += wait
         wait = min(2 * wait, _LONGEST_WAIT)
+
+
+class _EndSeenError(Exception):
+    """Status 204: the service has nothing to add to what was seen, and nobody shall come back."""
 
 
 def _once(connection: Connection, path: str, parser: sse.Parser) -> Iterator[ProgressEvent]:
@@ -53,6 +59,8 @@ def _once(connection: Connection, path: str, parser: sse.Parser) -> Iterator[Pro
     parser.reset()
     timeout = httpx.Timeout(SILENCE, connect=5.0)
     with connection.stream("GET", path, headers=headers, timeout=timeout) as response:
+        if response.status_code == httpx.codes.NO_CONTENT:
+            raise _EndSeenError
         for line in sse.lines(response.iter_bytes()):
             event = parser.feed(line)
             if event is not None and event.event == "progress":

@@ -134,14 +134,14 @@ def parse_scene(data: bytes, *, allow_files: bool = False) -> Scene:
     return scene_from_json(parse_json(data), allow_files=allow_files)
 
 
-def job_from_json(body: Any) -> JobRequest:
-    """A checked job from a parsed document. Raises ProblemError (422)."""
+def job_from_json(body: Any, *, allow_files: bool = False) -> JobRequest:
+    """A checked job from a parsed document; `allow_files` on the command line only. Raises ProblemError (422)."""
     try:
         request = JobRequest.model_validate(body)
     except ValidationError as error:
         raise ProblemError(problem_from_validation(error, body, "job")) from None
     rename = _job_pointers(request)
-    _raise_errors(check_scene(request.resolved_scene()), "job", rename)
+    _raise_errors(check_scene(request.resolved_scene(), allow_files=allow_files), "job", rename)
     return request
 
 

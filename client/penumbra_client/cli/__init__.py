@@ -53,7 +53,18 @@ class Command(Protocol):
         """Do it, and return the exit status."""
 
 
-BUILT_IN: Final = ("submit", "validate", "watch", "fetch", "jobs", "cancel", "pause", "resume")
+BUILT_IN: Final = (
+    "submit",
+    "watch",
+    "fetch",
+    "render",
+    "validate",
+    "devices",
+    "jobs",
+    "cancel",
+    "pause",
+    "resume",
+)
 _SHARED_MODULE: Final = {"cancel": "steer", "pause": "steer", "resume": "steer"}
 """Commands that one module makes."""
 
@@ -145,7 +156,6 @@ def _missing_extra(name: str) -> str | None:
     point = _plugged_in().get(name)
     if point is None or _load(point) is not None:
         return None
-    return (
-        f"penumbra: `penumbra {name}` needs the service's packages, which are not installed: "
-        "pip install 'penumbra-render[service,cpu]'"
-    )
+    from penumbra_client.local import NEEDED
+
+    return f"penumbra: `penumbra {name}` {NEEDED}"

@@ -8,8 +8,8 @@ from typing import Final
 from penumbra_scene.exits import Exit
 
 from penumbra_client.cli.options import add_server, connect
+from penumbra_client.results import RESULTS
 
-NAMES: Final = ("exr", "thumbnail", "heatmap", "receipt")
 SUMMARY: Final = "download a job's results"
 DESCRIPTION: Final = """\
 Download a job's results into a folder, and print the files' paths.
@@ -25,14 +25,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_server(parser)
     parser.add_argument("--out", metavar="FOLDER", default=".", help="where to (default: the current folder)")
     parser.add_argument(
-        "--only", action="append", choices=NAMES, help="only this result; may be given several times"
+        "--only", action="append", choices=tuple(RESULTS), help="only this result; may be given several times"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fetch."""
     with connect(arguments) as client:
-        paths = client.fetch(arguments.job, arguments.out, arguments.only or NAMES)
+        paths = client.fetch(arguments.job, arguments.out, arguments.only or RESULTS)
     for path in paths.values():
         print(path)
     return Exit.OK

@@ -1,4 +1,4 @@
-"""What a finished job comes to, in a few lines on standard output."""
+"""What a finished render comes to, in a few lines on standard output."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from penumbra_scene.job import Interval, JobStatus
+from penumbra_scene.receipt import Receipt
 
 from penumbra_client.cli.progress import duration, percent
+from penumbra_client.results import RESULTS
 
 
 def error_text(error: float | None, interval: Interval | None) -> str:
@@ -20,9 +22,23 @@ def error_text(error: float | None, interval: Interval | None) -> str:
 
 
 def print_fetched(job: JobStatus, paths: Mapping[str, Path]) -> None:
-    """The achieved error, and where the files are."""
-    spent = f"{job.samples_done:.4g} samples a pixel in {duration(job.seconds)}"
+    """The achieved error of a service's job, and where its files are."""
     error = error_text(job.relative_error, job.relative_error_interval)
+    spent = f"{job.samples_done:.4g} samples a pixel in {duration(job.seconds)}"
     print(f"job {job.id}: {spent}, relative error {error}")
+    _print_paths(paths)
+
+
+def print_receipt(receipt: Receipt, folder: Path) -> None:
+    """The same of a render in this process."""
+    error = error_text(receipt.error.relative_error, receipt.error.relative_error_interval)
+    spent = f"{receipt.samples:.4g} samples a pixel in {duration(receipt.stages.trace.seconds)} of tracing"
+    print(f"{receipt.name}: {spent}, relative error {error}")
+    for warning in receipt.warnings:
+        print(f"warning: {warning}")
+    _print_paths({name: folder / file for name, file in RESULTS.items() if (folder / file).exists()})
+
+
+def _print_paths(paths: Mapping[str, Path]) -> None:
     for name, path in paths.items():
         print(f"{name:10} {path}")

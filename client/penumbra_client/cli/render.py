@@ -1,0 +1,76 @@
+"""`penumbra render`: trace a scene in this process, without a service."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from penumbra_scene.exits import Exit
+
+from penumbra_client.cli.options import add_scene, settings
+
+if TYPE_CHECKING:
+    from penumbra_scene.job import JobRequest
+
+SUMMARY: Final = "trace a scene here, without a service"
+DESCRIPTION: Final = """\
+Trace a scene on this machine's OpenCL devices without a service, and leave EXR, thumbnail, heat map and
+receipt in a folder.
+
+  penumbra render scene.json --out out                          as the scene says
+  penumbra render scene.json --out out --samples 16 --size 320x240
+  penumbra render scene.json --out out --error 1% --seconds 300 as good as 1 %, but in five minutes at most
+  penumbra render scene.json --out out --sampler jittered --seed 7
+"""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_scene(parser)
+    parser.add_argument("--out", metavar="FOLDER", required=True, help="where the results go")
+    parser.add_argument(
+        "--device", metavar="IDS", default="", help="OpenCL devices, commas between them (default: all)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the receipt instead of a few words")
+    parser.add_argument("--quiet", action="store_true", help="show no progress")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Render."""
+    from penumbra_client.cli.progress import ProgressView
+    from penumbra_client.cli.report import print_receipt
+    from penumbra_client.errors import cannot_write
+    from penumbra_client.local import find_engine
+    from penumbra_client.scenefile import named_files, read_scene, resolve_file
+
+    engine = find_engine("render")
+    document, folder = read_scene(arguments.scene)
+    request = _request(document, settings(arguments, document))
+    for pointer, name in named_files(document):
+        resolve_file(folder, name, pointer)
+    out = Path(arguments.out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with ProgressView(arguments.quiet) as view:
+            receipt = engine.render(request, folder, out, arguments.device, view)
+    except OSError as error:
+        raise cannot_write(out, error) from error
+    if arguments.json:
+        print(receipt.model_dump_json(indent=1))
+    else:
+        print_receipt(receipt, out)
+    return Exit.OK
+
+
+def _request(document: dict[str, Any], given: dict[str, Any]) -> JobRequest:
+    """The job, checked. Raises RefusedError with pointers into the job, `/scene` being the file."""
+    from penumbra_scene.errors import ProblemError
+    from penumbra_scene.parse import job_from_json
+
+    from penumbra_client.errors import RefusedError
+
+    try:
+        return job_from_json({"scene": document, **given}, allow_files=True)
+    except ProblemError as error:
+        raise RefusedError(error.problem) from None

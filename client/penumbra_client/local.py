@@ -1,0 +1,55 @@
+"""What the command line asks of a renderer in its own process; whoever has one registers it as an entry
+point.
+
+The service's package does, so that `penumbra render` and `penumbra devices` work where it is installed, and
+the client needs none of what it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Final, Protocol
+
+from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
+from penumbra_scene.receipt import Receipt
+
+from penumbra_client.errors import ClientError
+
+ENTRY_POINTS: Final = "penumbra.engines"
+NEEDED: Final = (
+    "needs the service's packages, which are not installed: pip install 'penumbra-render[service,cpu]'"
+)
+
+
+class Engine(Protocol):
+    """Renders on this machine, without a service. Errors carry an `exit_code`."""
+
+    def devices(self) -> DevicePage:
+        """The OpenCL devices of this machine."""
+
+    def render(
+        self,
+        request: JobRequest,
+        folder: Path,
+        out: Path,
+        devices: str,
+        report: Callable[[ProgressEvent], None],
+    ) -> Receipt:
+        """Render a job whose files lie under `folder`, and leave its results in `out` under the client's
+        names.
+
+        `devices` are ids with commas between them, or "" for all. Blocks; reports as it goes.
+        """
+
+
+def find_engine(command: str) -> Engine:
+    """The engine that is installed. Raises ClientError where there is none."""
+    for point in metadata.entry_points(group=ENTRY_POINTS):
+        try:
+            engine: Engine = point.load()
+        except ImportError:
+            continue
+        return engine
+    raise ClientError(f"`penumbra {command}` {NEEDED}")
