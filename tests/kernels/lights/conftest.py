@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 from numpy.typing import NDArray
 from penumbra_kernels.device import Device
 from penumbra_kernels.layout import ALIAS, CONSTANTS, INSTANCE, KEYFRAME, LIGHT, SHAPE, TRIANGLE
@@ -145,7 +146,11 @@ class Samples:
 
 
 class Bench:
-    """cl/lights built with some flags on a device."""
+    """cl/lights built with some flags on a device, and what tests need to use it."""
+
+    light = staticmethod(light)
+    scene = LightScene
+    NONE = NONE
 
     def __init__(self, device: Device, flags: Mapping[str, int]) -> None:
         self.device = device
@@ -216,6 +221,34 @@ class Bench:
         return out[:, :3], out[:, 3]
 
 
+    @staticmethod
+    def uniform(count: int, seed: int, dims: int = 2) -> Array:
+        """Random numbers in [0, 1) of 24 bits, as the samplers make them."""
+        bits = np.random.default_rng(seed).integers(0, 1 << 24, (count, dims))
+        return (bits * 2.0**-24).astype(np.float32)
+
+    @staticmethod
+    def grid(side: int) -> Array:
+        """(side^2, 2) midpoints of a grid on the unit square: a quadrature rule for smooth integrands."""
+        x = (np.arange(side) + 0.5) / side
+        return np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
+
+    @staticmethod
+    def chi2_pvalue(counts: Array, expected: Array) -> float:
+        """P-value of Pearson's test; bins of fewer than 10 expected are pooled. counts and expected sum to the same."""
+        c, e = np.ravel(counts).astype(float), np.ravel(expected).astype(float)
+        assert c[e == 0].sum() == 0, "samples where the density is zero"
+        order = np.argsort(-e)
+        c, e = c[order], e[order]
+        small = int(np.searchsorted(-e, -10.0))
+        c = np.append(c[:small], c[small:].sum())
+        e = np.append(e[:small], e[small:].sum())
+        if e[-1] < 10.0:
+            c[-2], e[-2] = c[-2] + c[-1], e[-2] + e[-1]
+            c, e = c[:-1], e[:-1]
+        return float(scipy.stats.chi2.sf(((c - e) ** 2 / e).sum(), len(e) - 1))
+
+
 @pytest.fixture(scope="session")
 def bench(device: Device) -> Bench:
     """The program with everything in, sampling by solid angle."""
@@ -226,9 +259,3 @@ def bench(device: Device) -> Bench:
 def area_bench(device: Device) -> Bench:
     """The same, sampling by area."""
     return Bench(device, {"PENUMBRA_LIGHT_AREA_SAMPLING": 1})
-
-
-def uniform(count: int, seed: int, dims: int = 2) -> Array:
-    """Random numbers in [0, 1) of 24 bits, as the samplers make them."""
-    bits = np.random.default_rng(seed).integers(0, 1 << 24, (count, dims))
-    return (bits * 2.0**-24).astype(np.float32)
