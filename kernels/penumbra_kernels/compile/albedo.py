@@ -1,4 +1,4 @@
-"""Directional albedos of GGX lobes, by quadrature in float64: what single scattering loses, what a coat lets pass.
+"""Directional albedos of GGX lobes, by quadrature in float64: what is lost, what a coat lets pass.
 
 One table for each roughness (and index of refraction) that a scene has, in the layout that
 cl/materials/compensation.cl states. Directions are local, z the surface's normal.
@@ -54,7 +54,7 @@ def fresnel(c: Array, eta: float) -> tuple[Array, Array]:
 
 
 def _visible_normals(wo: Array, ax: float, ay: float) -> tuple[Array, Array]:
-    """Normals visible from wo (directions, 3), as (directions, nodes, 3), and the weights (nodes,) of their mean.
+    """Normals visible from wo (directions, 3), as (directions, nodes, 3), and their weights (nodes,).
 
     Spherical caps (Dupuy and Benyoub 2023), over Gauss nodes in height and the midpoint rule in azimuth.
     """
@@ -116,7 +116,7 @@ def _directions(k: float, anisotropic: bool) -> Array:
 
 
 def _mean_over_azimuth(rows: Array) -> Array:
-    """Mean of (rows, NODES) over the azimuth, interpolated in its squared cosine as on the device: (NODES,)."""
+    """Mean of (rows, NODES) over the azimuth, interpolated in its squared cosine as the device does."""
     if len(rows) == 1:
         return np.asarray(rows[0])
     cos2 = np.cos((np.arange(64) + 0.5) * (0.5 * np.pi / 64)) ** 2
@@ -151,7 +151,7 @@ def _loss_table(missing: Array, k: float, transmitted: float) -> tuple[Array, fl
 
 
 def _missing(ax: float, ay: float, eta: float | None) -> tuple[Array, float]:
-    """Light that single scattering loses, (rows, NODES), and its table's k: losses are at heights of order alpha."""
+    """Light that single scattering loses, (rows, NODES), and the table's k: at heights of order alpha."""
     k = max(ax, ay)
     part = albedo(_directions(k, ax != ay), ax, ay, eta)
     missing = np.clip(1.0 - part.reflected - part.transmitted, 0.0, 1.0)
@@ -188,9 +188,9 @@ def sheet_table(alpha: float, ior: float) -> Array:
 def dielectric_tables(ax: float, ay: float, ior: float) -> Array:
     """Losses seen from outside and from inside, one table after the other.
 
-    With A the mean losses of the two sides and x the shares of them that leave on the other one, reciprocity asks
-    for x_outer A_outer = ior^2 x_inner A_inner. x_outer is that of diffuse light, 1 - mean Fresnel, unless x_inner
-    would exceed 1.
+    With A the mean losses of the two sides and x the shares of them that leave on the other one, reciprocity
+    asks for x_outer A_outer = ior^2 x_inner A_inner. x_outer is that of diffuse light, 1 - mean Fresnel,
+    unless x_inner would exceed 1.
     """
     outer, k = _missing(ax, ay, ior)
     inner, _ = _missing(ax, ay, 1.0 / ior)
@@ -207,7 +207,7 @@ def dielectric_tables(ax: float, ay: float, ior: float) -> Array:
 
 @lru_cache(maxsize=1024)
 def coat_table(ax: float, ay: float, ior: float, compensate: bool) -> Array:
-    """What a dielectric coat lets pass: all that it does not reflect, or, not compensated, just what Fresnel lets
+    """What a dielectric coat lets pass: all that it does not reflect, or, not compensated, what Fresnel lets
     pass, so that light lost between microfacets stays lost. A perfectly smooth coat has only its mean."""
     if ax == 0.0:
         return np.array([1.0, 1.0 / (1.0 - mean_fresnel(ior)), 0.0, 0.0])

@@ -36,9 +36,9 @@ BLACK_MATERIAL: Final = 1
 DEFAULT_GRAY: Final = 0.8
 
 ALPHA_MIN: Final = 1e-4
-"""Narrower lobes (roughness below .01) are perfect mirrors. At this width the rounding of unit directions, 2^-24 a
-component, moves a half vector by some 1e-3 of the lobe, and so its density by some 1e-3; ten times narrower it would
-be a hundredth."""
+"""Narrower lobes (roughness below .01) are perfect mirrors. At this width the rounding of unit directions,
+2^-24 a component, moves a half vector by some 1e-3 of the lobe, and so its density by some 1e-3; ten times
+narrower it would be a hundredth."""
 
 
 def alphas(roughness: float, anisotropy: float) -> tuple[float, float]:

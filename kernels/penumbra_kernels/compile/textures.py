@@ -88,7 +88,7 @@ class _Texels:
         self._count += width * height
         if self._count > limits.MAX_TEXELS:
             raise AssetError(
-                f"the scene's images have more than {self._count} pixels together; accepted are {limits.MAX_TEXELS}"
+                f"with it the scene's images have {self._count} pixels; accepted are {limits.MAX_TEXELS}"
             )
         self._blocks.append(_texels(image, srgb))
         return first, width, height
