@@ -1,0 +1,67 @@
+// Eight triangles against one ray, watertight: a ray through an edge or vertex that triangles share never slips between.
+// Woop, Benthin, Wald 2013, "Watertight Ray/Triangle Intersection", with edge functions whose sign is exact. Lengths in
+// metres in the tree's frame.
+#include "geometry/wide.cl"
+#include "geometry/hit.cl"
+
+// Vertices of eight triangles along the ray's permuted axes.
+typedef struct {
+  float8 ax, ay, az, bx, by, bz, cx, cy, cz;
+} EightTriangles;
+
+static inline void load_triangles(const __global Packet8 *packet, const WideRay *w, EightTriangles *e) {
+  const __global float8 *p = (const __global float8 *)packet;
+  e->ax = p[w->kx];
+  e->ay = p[w->ky];
+  e->az = p[w->kz];
+  e->bx = p[3u + w->kx];
+  e->by = p[3u + w->ky];
+  e->bz = p[3u + w->kz];
+  e->cx = p[6u + w->kx];
+  e->cy = p[6u + w->ky];
+  e->cz = p[6u + w->kz];
+}
+
+// Offers the triangles that are hit; true where there is one (the caller of an any-hit query stops there).
+static inline bool hit_triangles(const EightTriangles *e, const __global uint *primitive, const WideRay *w,
+                                 const uint instance, const bool any, Hit *best) {
+  const float8 az = e->az - w->okz, bz = e->bz - w->okz, cz = e->cz - w->okz;
+  const float8 ax = (e->ax - w->okx) - w->sx * az, ay = (e->ay - w->oky) - w->sy * az;
+  const float8 bx = (e->bx - w->okx) - w->sx * bz, by = (e->by - w->oky) - w->sy * bz;
+  const float8 cx = (e->cx - w->okx) - w->sx * cz, cy = (e->cy - w->oky) - w->sy * cz;
+  const float8 u = difference_of_products8(cx, by, cy, bx);
+  const float8 v = difference_of_products8(ax, cy, ay, cx);
+  const float8 q = difference_of_products8(bx, ay, by, ax);
+  const float8 low = MIN8(MIN8(u, v), q), high = MAX8(MAX8(u, v), q);
+  const float8 det = u + v + q;
+  const int8 inside = ((low >= 0.0f) | (high <= 0.0f)) & (det != 0.0f);
+  if (!lane_mask(inside)) return false;
+  const float8 inverse = 1.0f / det;
+  const float8 b0 = u * inverse, b1 = v * inverse, b2 = q * inverse;
+  const float8 t = (b0 * az + b1 * bz + b2 * cz) * w->sz;
+  uint mask = lane_mask(inside & (t > 0.0f) & (any ? t < best->t : t <= best->t));
+  if (!mask) return false;
+  if (any) return true;
+  const float8 ts[1] = {t}, us[1] = {b1}, vs[1] = {b2};
+  do {
+    const uint i = CTZ(mask);
+    mask &= mask - 1u;
+    hit_offer(((const float *)ts)[i], ((const float *)us)[i], ((const float *)vs)[i], PRIMITIVE_TRIANGLE, primitive[i],
+              instance, best);
+  } while (mask);
+  return true;
+}
+
+// A leaf's packets, one after the other.
+static inline bool hit_packets(const SceneData *scene, const uint word, const WideRay *w, const uint instance,
+                               const bool any, Hit *best) {
+  const __global Packet8 *packet = scene->packets + (word & LEAF_PACKET_MASK);
+  bool found = false;
+  for (uint n = (word >> LEAF_COUNT_SHIFT) & 3u; n; n--, packet++) {
+    EightTriangles e;
+    load_triangles(packet, w, &e);
+    found |= hit_triangles(&e, packet->primitive, w, instance, any, best);
+    if (any && found) return true;
+  }
+  return found;
+}

@@ -1,0 +1,314 @@
+"""Shapes -> vertices, primitives, instances and the trees over them.
+
+What stands still is flattened into the world's tree, relative to the anchor in float64. What moves, prototypes, and
+spheres that a transform makes ellipsoids have trees of their own, placed by instances. Shapes of prototypes that emit are
+copied for each placement, so that every light has its own shape record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_scene.scene import Scene
+from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Sphere
+
+from penumbra_kernels.accel.build import Tree, build_tree, instance_word
+from penumbra_kernels.assets import Assets
+from penumbra_kernels.compile import bounds
+from penumbra_kernels.compile.materials import BLACK_MATERIAL, DEFAULT_MATERIAL
+from penumbra_kernels.compile.placement import Motion, Shutter, static_motion
+from penumbra_kernels.compile.primitives import (
+    NONE,
+    TreeItems,
+    Vertices,
+    add_disc,
+    add_plane,
+    add_sphere,
+    add_triangles,
+)
+from penumbra_kernels.compile.transforms import is_similarity
+from penumbra_kernels.layout import INSTANCE, SHAPE
+
+Surface = Sphere | Quad | Disc | Mesh
+
+PRIMITIVE_TRIANGLE: Final = 0
+PRIMITIVE_SPHERE: Final = 1
+PRIMITIVE_DISC: Final = 2
+PRIMITIVE_PLANE: Final = 3
+
+
+@dataclass(frozen=True)
+class ShapeRecord:
+    """One entry of `shapes`, and where its primitives are. Emitters are those with `model.emission`."""
+
+    shape: int
+    """Index into arrays["shapes"]; the lights compiler writes its light's index into ["light"] there."""
+    scene_shape: int
+    """Index into scene.shapes (of the Instance, where a prototype was placed)."""
+    model: Surface | Plane
+    kind: int
+    """PRIMITIVE_*."""
+    first: int
+    """First primitive in the arrays of that kind."""
+    count: int
+    instance: int
+    """That places the primitives, or NONE: they are in the world frame. Of several (a prototype's), the first."""
+    world_from_object: NDArray[np.float64]
+    """(4, 4) from the model's own frame (before any transform) to the anchor-relative world, at the shutter's opening."""
+    moving: bool
+    """The instance moves while the shutter is open: its keyframes say how."""
+
+    @property
+    def emits(self) -> bool:
+        return not isinstance(self.model, Plane) and self.model.emission is not None
+
+
+@dataclass(frozen=True)
+class CompiledGeometry:
+    """Everything that intersect and surface_at read."""
+
+    arrays: dict[str, NDArray[Any]]
+    """nodes, packets, spheres, discs, planes, instances, times, shapes, triangles, positions, normals, uvs."""
+    keyframes: NDArray[Any]
+    """(n,) of KEYFRAME, those of instances and planes; indices count from its start."""
+    root: int
+    """Child word of the world's tree."""
+    plane_count: int
+    triangle_count: int
+    records: tuple[ShapeRecord, ...]
+    """In the order of arrays["shapes"]."""
+
+    @property
+    def emitters(self) -> tuple[ShapeRecord, ...]:
+        """The records that emit."""
+        return tuple(record for record in self.records if record.emits)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A tree of its own, to be placed by instances."""
+
+    root: int
+    lo: NDArray[np.float64]
+    hi: NDArray[np.float64]
+    inner: Motion
+    """What is applied before the placement."""
+
+
+class _Compiler:
+    def __init__(
+        self,
+        scene: Scene,
+        assets: Assets,
+        shutter: Shutter,
+        anchor: NDArray[np.float64],
+        materials: Mapping[str, int],
+    ) -> None:
+        self.scene, self.assets, self.shutter, self.anchor, self.materials = (
+            scene,
+            assets,
+            shutter,
+            anchor,
+            materials,
+        )
+        self.vertices = Vertices()
+        self.world = TreeItems()
+        self.trees: list[Tree] = []
+        self.packets: list[NDArray[Any]] = []
+        self.nodes = 0
+        self.packet_count = 0
+        self.shapes: list[NDArray[Any]] = []
+        self.records: list[ShapeRecord] = []
+        self.instances: list[NDArray[Any]] = []
+        self.keyframes: list[NDArray[Any]] = []
+        self.prototypes: dict[str, list[_Part]] = {}
+
+    def compile(self) -> CompiledGeometry:
+        for i, shape in enumerate(self.scene.shapes):
+            where = f"shapes/{i}"
+            if isinstance(shape, Instance):
+                self._instance(shape, i, where)
+            elif isinstance(shape, Plane):
+                self._plane(shape, i)
+            else:
+                self._place(shape, i, self._outer(shape), where)
+        root = self._tree(self.world)
+        return self._result(root)
+
+    def _outer(self, shape: Surface | Plane | Instance) -> Motion:
+        return Motion.of(shape.transform, self.shutter, self.anchor)
+
+    def _material(self, shape: Surface | Plane) -> int:
+        if shape.material is not None:
+            return self.materials[shape.material]
+        emits = not isinstance(shape, Plane) and shape.emission is not None
+        return BLACK_MATERIAL if emits else DEFAULT_MATERIAL
+
+    def _shape(self, model: Surface | Plane, scene_shape: int) -> NDArray[Any]:
+        record = np.zeros((), SHAPE)
+        record["material"] = self._material(model)
+        record["light"] = NONE
+        record["object_id"] = scene_shape + 1
+        self.shapes.append(record)
+        return record
+
+    def _primitives(
+        self, model: Surface, scene_shape: int, matrix: NDArray[np.float64], items: TreeItems, where: str
+    ) -> tuple[int, int, int]:
+        """Write one shape's primitives, under a still matrix, into a tree: (kind, first, count)."""
+        record = self._shape(model, scene_shape)
+        number = len(self.shapes) - 1
+        if isinstance(model, Sphere):
+            return PRIMITIVE_SPHERE, add_sphere(self.vertices, items, model, matrix, number, record), 1
+        if isinstance(model, Disc):
+            return PRIMITIVE_DISC, add_disc(self.vertices, items, model, matrix, number, record), 1
+        first, count = add_triangles(
+            self.vertices, items, model, self.assets, matrix, number, record, self.shutter, where
+        )
+        return PRIMITIVE_TRIANGLE, first, count
+
+    def _note(
+        self,
+        model: Surface | Plane,
+        scene_shape: int,
+        ranges: tuple[int, int, int],
+        instance: int,
+        motions: Sequence[Motion],
+    ) -> None:
+        matrix = np.eye(4)
+        for motion in motions:
+            matrix = matrix @ motion.start
+        moving = any(motion.moves for motion in motions)
+        kind, first, count = ranges
+        number = len(self.shapes) - 1
+        self.records.append(
+            ShapeRecord(number, scene_shape, model, kind, first, count, instance, matrix, moving)
+        )
+
+    def _place(
+        self, model: Surface, scene_shape: int, outer: Motion, where: str, inner: Motion | None = None
+    ) -> None:
+        """A shape of its own: in the world's tree where it stands still, else an instance."""
+        motions = [outer] if inner is None else [outer, inner]
+        if not any(m.moves for m in motions):
+            matrix = outer.start if inner is None else outer.start @ inner.start
+            if not isinstance(model, Sphere) or is_similarity(matrix):
+                ranges = self._primitives(model, scene_shape, matrix, self.world, where)
+                self._note(model, scene_shape, ranges, NONE, motions)
+                return
+        items = TreeItems()
+        ranges = self._primitives(model, scene_shape, np.eye(4), items, where)
+        part = self._part(items, inner or static_motion(np.eye(4)))
+        instance = NONE if part is None else self._add_instance(part, outer, 0)
+        self._note(model, scene_shape, ranges, instance, motions)
+
+    def _part(self, items: TreeItems, inner: Motion) -> _Part | None:
+        if not items.count:
+            return None
+        lo, hi = items.bounds()
+        return _Part(self._tree(items), lo, hi, inner)
+
+    def _add_instance(self, part: _Part, outer: Motion, object_id: int) -> int:
+        record = np.zeros((), INSTANCE)
+        record["root"] = part.root
+        record["object_id"] = object_id
+        matrix = outer.start if outer.moves or part.inner.moves else outer.start @ part.inner.start
+        record["world_from_object"] = matrix[:3]
+        record["object_from_world"] = np.linalg.inv(matrix)[:3]
+        inner_counts = part.inner.moves or (outer.moves and not part.inner.is_identity)
+        if outer.moves:
+            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(outer)
+        if inner_counts:
+            record["inner_first_keyframe"], record["inner_keyframe_count"] = self._add_keyframes(part.inner)
+        lo, hi = part.inner.sweep(part.lo, part.hi) if inner_counts else (part.lo, part.hi)
+        if outer.moves:
+            lo, hi = outer.sweep(lo, hi)
+        else:
+            lo, hi = bounds.transformed(lo, hi, outer.start if inner_counts else matrix)
+        # Coming into the object's frame rounds the ray's origin, the more the further the object's frame is off.
+        offset = np.abs(matrix[:3, :3]) @ np.abs(record["object_from_world"][:, 3].astype(np.float64))
+        pad = bounds.BOX_SLACK * (offset + np.abs(matrix[:3, 3]))
+        index = len(self.instances)
+        self.instances.append(record)
+        self.world.add((lo - pad)[None], (hi + pad)[None], instance_word(index))
+        return index
+
+    def _add_keyframes(self, motion: Motion) -> tuple[int, int]:
+        first = sum(len(keys) for keys in self.keyframes)
+        keys = motion.keyframes()
+        self.keyframes.append(keys)
+        return first, len(keys)
+
+    def _instance(self, instance: Instance, scene_shape: int, where: str) -> None:
+        outer = self._outer(instance)
+        name = instance.prototype
+        if name not in self.prototypes:
+            self.prototypes[name] = self._prototype(name, scene_shape, outer)
+        for part in self.prototypes[name]:
+            self._add_instance(part, outer, scene_shape + 1)
+        for model in self.scene.prototypes[name]:
+            if model.emission is not None:
+                self._place(model, scene_shape, outer, where, Motion.of(model.transform, self.shutter))
+
+    def _prototype(self, name: str, scene_shape: int, outer: Motion) -> list[_Part]:
+        """A tree for what stands still in the prototype, and one for each shape that moves in it or is an ellipsoid."""
+        still = TreeItems()
+        parts: list[_Part] = []
+        next_instance = len(self.instances)
+        for i, model in enumerate(self.scene.prototypes[name]):
+            if model.emission is not None:
+                continue
+            where = f"prototypes/{name}/{i}"
+            inner = Motion.of(model.transform, self.shutter)
+            if not inner.moves and (not isinstance(model, Sphere) or is_similarity(inner.start)):
+                ranges = self._primitives(model, scene_shape, inner.start, still, where)
+                self._note(model, scene_shape, ranges, next_instance, [outer, inner])
+                continue
+            items = TreeItems()
+            ranges = self._primitives(model, scene_shape, np.eye(4), items, where)
+            self._note(model, scene_shape, ranges, next_instance, [outer, inner])
+            part = self._part(items, inner)
+            parts += [part] if part is not None else []
+        base = self._part(still, static_motion(np.eye(4)))
+        return ([base] if base is not None else []) + parts
+
+    def _plane(self, plane: Plane, scene_shape: int) -> None:
+        motion = self._outer(plane)
+        self._shape(plane, scene_shape)
+        index = add_plane(
+            self.vertices, plane, np.eye(4) if motion.moves else motion.start, len(self.shapes) - 1
+        )
+        if motion.moves:
+            record = self.vertices.planes[index]
+            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(motion)
+        self._note(plane, scene_shape, (PRIMITIVE_PLANE, index, 1), NONE, [motion])
+
+    def _tree(self, items: TreeItems) -> int:
+        tree = build_tree(items.items(), items.copies(), self.nodes, self.packet_count)
+        self.trees.append(tree)
+        self.packets.append(items.packets(tree, self.vertices))
+        self.nodes += len(tree.nodes)
+        self.packet_count += len(self.packets[-1])
+        return tree.root
+
+    def _result(self, root: int) -> CompiledGeometry:
+        arrays = self.vertices.arrays()
+        arrays["nodes"] = np.concatenate([tree.nodes for tree in self.trees])
+        arrays["packets"] = np.concatenate(self.packets)
+        arrays["instances"] = np.array(self.instances, INSTANCE)
+        arrays["shapes"] = np.array(self.shapes, SHAPE)
+        keyframes = np.concatenate([Motion.no_keyframes(), *self.keyframes])
+        planes, triangles = len(arrays["planes"]), len(arrays["triangles"])
+        return CompiledGeometry(arrays, keyframes, root, planes, triangles, tuple(self.records))
+
+
+def compile_geometry(
+    scene: Scene, assets: Assets, time: float, anchor: NDArray[np.float64], materials: Mapping[str, int]
+) -> CompiledGeometry:
+    """The frame at `time` seconds. materials: name -> index. Raises AssetError for assets that are missing or broken."""
+    shutter = Shutter(time, scene.camera.shutter.open, scene.camera.shutter.close)
+    return _Compiler(scene, assets, shutter, np.asarray(anchor, np.float64), materials).compile()

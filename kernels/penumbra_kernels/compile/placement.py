@@ -1,0 +1,101 @@
+"""Where a shape stands, still or moving, while the shutter is open. Metres, seconds; matrices float64, 4x4."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from penumbra_kernels.compile import bounds
+from penumbra_kernels.compile.transforms import ORIGIN, Transform, keyframes_of, matrix_at, poses_of, shifted
+from penumbra_kernels.layout import KEYFRAME
+
+Matrix = NDArray[np.float64]
+Point = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """The frame's time and when its light is gathered, seconds."""
+
+    time: float
+    open: float
+    close: float
+
+    @property
+    def first(self) -> float:
+        return self.time + self.open
+
+    @property
+    def last(self) -> float:
+        return self.time + self.close
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A transform over the shutter interval, relative to the anchor."""
+
+    start: Matrix
+    """At the shutter's opening."""
+    transform: Transform | None = None
+    """None: it stands still."""
+    shutter: Shutter | None = None
+    anchor: Point | None = None
+
+    @staticmethod
+    def of(transform: Transform, shutter: Shutter, anchor: Point = ORIGIN) -> Motion:
+        start = shifted(matrix_at(transform, shutter.first), anchor)
+        if (
+            isinstance(transform, tuple)
+            or keyframes_of(transform, shutter.time, shutter.open, shutter.close) is None
+        ):
+            return Motion(start)
+        return Motion(start, transform, shutter, anchor)
+
+    @property
+    def moves(self) -> bool:
+        return self.transform is not None
+
+    @property
+    def is_identity(self) -> bool:
+        return not self.moves and np.array_equal(self.start, np.eye(4))
+
+    def sweep(self, lo: Point, hi: Point) -> tuple[Point, Point]:
+        """The box around all that a box (3,) passes through."""
+        if self.transform is None or self.shutter is None or self.anchor is None:
+            return bounds.transformed(lo, hi, self.start)
+        lo, hi = bounds.swept(lo, hi, self.transform, self.shutter.first, self.shutter.last)
+        return lo - self.anchor, hi - self.anchor
+
+    def keyframes(self) -> NDArray[Any]:
+        """(n,) of KEYFRAME; one where it stands still."""
+        if self.transform is not None and self.shutter is not None and self.anchor is not None:
+            s = self.shutter
+            keys = keyframes_of(self.transform, s.time, s.open, s.close, self.anchor)
+            assert keys is not None
+            return keys
+        return _still_keyframe(self.start)
+
+    @staticmethod
+    def no_keyframes() -> NDArray[Any]:
+        return np.zeros(0, KEYFRAME)
+
+
+def static_motion(matrix: Matrix) -> Motion:
+    """Standing still under a matrix."""
+    return Motion(matrix)
+
+
+def _still_keyframe(matrix: Matrix) -> NDArray[Any]:
+    from penumbra_scene.transforms import Matrix as MatrixStep
+
+    rows = [tuple(float(x) for x in row) for row in matrix]
+    pose = poses_of((MatrixStep.model_construct(matrix=tuple(rows)),), 0.0, 0.0)[0]  # type: ignore[arg-type]
+    record = np.zeros(1, KEYFRAME)
+    record["rotation"] = pose.rotation
+    record["translation"] = pose.translation
+    record["stretch"][0, :, :3] = pose.stretch
+    record["stretch"][0, 1, 3] = 1.0
+    return record

@@ -1,0 +1,377 @@
+"""Writing primitives: float32 records in the frame of the tree that they go into, and their boxes. Metres."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_scene.shapes import Disc, Mesh, MeshKeyframe, Plane, Quad, Sphere
+from scipy.spatial.transform import Rotation
+
+from penumbra_kernels.accel.build import ALONE, STATIC, Items, Tree, round_word
+from penumbra_kernels.assets import AssetError, Assets
+from penumbra_kernels.compile.bounds import padded
+from penumbra_kernels.compile.meshes import (
+    CHUNK,
+    Triangles,
+    check_positions,
+    mesh_triangles,
+    quad_triangles,
+    with_area,
+)
+from penumbra_kernels.compile.placement import Matrix, Shutter
+from penumbra_kernels.layout import CONSTANTS, DISC, PACKET8, PLANE, SPHERE, TRIANGLE
+
+NONE: Final = CONSTANTS["NONE"]
+
+
+class Vertices:
+    """Vertex and primitive arrays as they grow."""
+
+    def __init__(self) -> None:
+        self.positions = _Growing(np.float32, 3)
+        self.normals = _Growing(np.float32, 3)
+        self.uvs = _Growing(np.float32, 2)
+        self.triangles = _Growing(TRIANGLE)
+        self.times: list[float] = []
+        self.spheres: list[NDArray[Any]] = []
+        self.discs: list[NDArray[Any]] = []
+        self.planes: list[NDArray[Any]] = []
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """By the names of the tracer's buffers."""
+        return {
+            "positions": self.positions.array,
+            "normals": self.normals.array,
+            "uvs": self.uvs.array,
+            "triangles": self.triangles.array,
+            "times": np.array(self.times, np.float32),
+            "spheres": np.array(self.spheres, SPHERE),
+            "discs": np.array(self.discs, DISC),
+            "planes": np.array(self.planes, PLANE),
+        }
+
+
+class _Growing:
+    """An array that is appended to; joined when it is read."""
+
+    def __init__(self, dtype: Any, width: int = 0) -> None:
+        shape = (0, width) if width else (0,)
+        self._parts: list[NDArray[Any]] = [np.zeros(shape, dtype)]
+        self.count = 0
+
+    def append(self, part: NDArray[Any]) -> int:
+        """Index of the part's first entry."""
+        first = self.count
+        self._parts.append(part)
+        self.count += len(part)
+        return first
+
+    @property
+    def array(self) -> NDArray[Any]:
+        if len(self._parts) > 1:
+            self._parts = [np.concatenate(self._parts)]
+        return self._parts[0]
+
+
+class TreeItems:
+    """What goes into one tree, as it grows."""
+
+    def __init__(self) -> None:
+        self._lo: list[NDArray[np.float32]] = []
+        self._hi: list[NDArray[np.float32]] = []
+        self._key: list[NDArray[np.int32]] = []
+        self._word: list[NDArray[np.uint32]] = []
+        self._deforming: list[tuple[int, int]] = []  # (keyframes, vertex stride) by key - 1
+        self.count = 0
+
+    def _append(self, lo: NDArray[Any], hi: NDArray[Any], key: int, words: NDArray[np.uint32]) -> None:
+        lo32, hi32 = padded(lo, hi)
+        if not (np.isfinite(lo32).all() and np.isfinite(hi32).all()):
+            raise AssetError("a shape reaches beyond what float32 holds; keep coordinates below 1e18 m")
+        self._lo.append(lo32)
+        self._hi.append(hi32)
+        self._key.append(np.full(len(lo32), key, np.int32))
+        self._word.append(words)
+        self.count += len(lo32)
+
+    def add(self, lo: NDArray[Any], hi: NDArray[Any], word: int) -> None:
+        """One item that is a leaf of its own."""
+        self._append(lo, hi, ALONE, np.array([word], np.uint32))
+
+    def add_triangles(self, lo: NDArray[Any], hi: NDArray[Any], triangles: NDArray[np.uint32]) -> None:
+        """Triangles that stand still, by index."""
+        self._append(lo, hi, STATIC, triangles)
+
+    def add_deforming(
+        self, lo: NDArray[Any], hi: NDArray[Any], triangles: NDArray[np.uint32], keyframes: int, stride: int
+    ) -> None:
+        """Triangles of one deforming mesh."""
+        self._deforming.append((keyframes, stride))
+        self._append(lo, hi, len(self._deforming), triangles)
+
+    def copies(self) -> NDArray[np.int64]:
+        """By key: packets that a group of triangles takes."""
+        return np.array([1, *(keyframes for keyframes, _ in self._deforming)], np.int64)
+
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The box around everything."""
+        lo = np.min([part.min(axis=0) for part in self._lo], axis=0)
+        hi = np.max([part.max(axis=0) for part in self._hi], axis=0)
+        return lo.astype(np.float64), hi.astype(np.float64)
+
+    def items(self) -> Items:
+        """All of them, for build_tree. Triangles have their index where others have their leaf word."""
+        if not self.count:
+            none = np.zeros((0, 3), np.float32)
+            return Items(none, none, np.zeros(0, np.int32), np.zeros(0, np.uint32))
+        for parts in (self._lo, self._hi, self._key, self._word):
+            parts[:] = [np.concatenate(parts)]  # type: ignore[arg-type]
+        return Items(self._lo[0], self._hi[0], self._key[0], self._word[0])
+
+    def packets(self, tree: Tree, vertices: Vertices) -> NDArray[Any]:
+        """PACKET8 of the tree's leaves."""
+        packets = np.empty(len(tree.packet_items), PACKET8)
+        if not len(packets):
+            return packets
+        positions, triangles = vertices.positions.array, vertices.triangles.array
+        strides = np.array([0, *(stride for _, stride in self._deforming)], np.uint32)
+        items = self.items()
+        for start in range(0, len(packets), CHUNK // 8):
+            part = slice(start, start + CHUNK // 8)
+            rows = tree.packet_items[part]
+            primitive = items.word[rows]
+            packets["primitive"][part] = primitive
+            shift = strides[items.key[rows]] * tree.packet_keyframe[part, None].astype(np.uint32)
+            corners = triangles["vertex"][primitive] + shift[..., None]
+            for i, name in enumerate(("v0", "v1", "v2")):
+                packets[name][part] = positions[corners[..., i]].transpose(0, 2, 1)
+        return packets
+
+
+def _mirrors(matrix: Matrix) -> bool:
+    return bool(np.linalg.det(matrix[:3, :3]) < 0.0)
+
+
+def _points(positions: NDArray[np.float64], matrix: Matrix, where: str) -> NDArray[np.float32]:
+    if np.array_equal(matrix, np.eye(4)):
+        return positions.astype(np.float32)
+    moved = positions @ matrix[:3, :3].T + matrix[:3, 3]
+    check_positions(moved, f"{where}, transformed")
+    return moved.astype(np.float32)
+
+
+def _normals(normals: NDArray[np.float64], matrix: Matrix) -> NDArray[np.float32]:
+    moved = normals @ np.linalg.inv(matrix[:3, :3])
+    size = np.abs(moved).max(axis=1, keepdims=True)
+    moved = np.divide(moved, size, out=np.zeros_like(moved), where=size > 0)
+    length = np.linalg.norm(moved, axis=1, keepdims=True)
+    return np.divide(moved, length, out=np.zeros_like(moved), where=length > 0).astype(np.float32)
+
+
+def _boxes(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> tuple[NDArray[Any], NDArray[Any]]:
+    a, b, c = (positions[indices[:, i]] for i in range(3))
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+def add_triangles(
+    vertices: Vertices,
+    items: TreeItems,
+    model: Quad | Mesh,
+    assets: Assets,
+    matrix: Matrix,
+    number: int,
+    record: NDArray[Any],
+    shutter: Shutter,
+    where: str,
+) -> tuple[int, int]:
+    """A quad or mesh under a matrix: (first triangle, count). Fills its SHAPE record; triangles without area stay out of
+    the tree."""
+    found = quad_triangles(model) if isinstance(model, Quad) else mesh_triangles(model, assets, where)
+    keys = _deformation(model, found, shutter, where) if isinstance(model, Mesh) else [(0.0, found.positions)]
+    flags = CONSTANTS["SHAPE_FLIP"] if _mirrors(matrix) else 0
+    flags |= CONSTANTS["SHAPE_QUAD"] if isinstance(model, Quad) else 0
+    placed = [_points(positions, matrix, where) for _, positions in keys]
+    first_vertex = vertices.positions.count
+    for part in placed:
+        vertices.positions.append(part)
+    if found.normals is not None:
+        flags |= CONSTANTS["SHAPE_HAS_NORMALS"]
+        record["normal_offset"] = vertices.normals.count - first_vertex
+        for normals in _key_normals(model, found, keys):
+            vertices.normals.append(_normals(normals, matrix))
+    if found.uvs is not None:
+        flags |= CONSTANTS["SHAPE_HAS_UVS"]
+        record["uv_offset"] = vertices.uvs.append(np.asarray(found.uvs, np.float32)) - first_vertex
+    triangles = np.empty(len(found.indices), TRIANGLE)
+    triangles["vertex"] = found.indices + np.uint32(first_vertex)
+    triangles["shape"] = number
+    first = vertices.triangles.append(triangles)
+    record["flags"] = flags
+    record["first_triangle"], record["triangle_count"] = first, len(triangles)
+    if len(keys) > 1:
+        record["deform_stride"], record["deform_count"] = len(found.positions), len(keys)
+        record["deform_first_time"] = len(vertices.times)
+        vertices.times += [time for time, _ in keys]
+    _add_boxes(items, placed, found.indices, first)
+    return first, len(triangles)
+
+
+def _add_boxes(
+    items: TreeItems, placed: list[NDArray[np.float32]], indices: NDArray[np.uint32], first: int
+) -> None:
+    solid = np.zeros(len(indices), np.bool_)
+    for positions in placed:
+        solid |= with_area(positions, indices)
+    # Collinear at every keyframe can still mean an area in between: deforming triangles all stay.
+    kept = np.flatnonzero(solid) if len(placed) == 1 else np.arange(len(indices))
+    if not len(kept):
+        return
+    indices = indices[kept] if len(kept) < len(indices) else indices
+    lo, hi = _boxes(placed[0], indices)
+    for positions in placed[1:]:
+        a, b = _boxes(positions, indices)
+        lo, hi = np.minimum(lo, a), np.maximum(hi, b)
+    numbers = (kept + first).astype(np.uint32)
+    if len(placed) == 1:
+        items.add_triangles(lo, hi, numbers)
+    else:
+        items.add_deforming(lo, hi, numbers, len(placed), len(placed[0]))
+
+
+def _deformation(
+    mesh: Mesh, found: Triangles, shutter: Shutter, where: str
+) -> list[tuple[float, NDArray[np.float64]]]:
+    """(time relative to the frame's, positions) over the shutter interval; one where the mesh keeps its form."""
+    if mesh.deformation is None:
+        return [(0.0, found.positions)]
+    times = np.array([key.time for key in mesh.deformation])
+    if len(mesh.deformation[0].positions) != len(found.positions):
+        raise AssetError(
+            f"{where}: deformation keyframes have {len(mesh.deformation[0].positions)} positions,"
+            f" but the mesh has {len(found.positions)}"
+        )
+    begin = max(0, int(np.searchsorted(times, shutter.first, side="right")) - 1)
+    end = min(len(times) - 1, int(np.searchsorted(times, shutter.last, side="left")))
+    needed = mesh.deformation[begin : max(begin, end) + 1]
+    arrays = [(key.time - shutter.time, np.asarray(key.positions, np.float64)) for key in needed]
+    if len(arrays) > 1 and shutter.open < shutter.close and not _all_equal(arrays):
+        return arrays
+    return [(0.0, _positions_at(needed, shutter.first))]
+
+
+def _all_equal(arrays: list[tuple[float, NDArray[np.float64]]]) -> bool:
+    return all(np.array_equal(positions, arrays[0][1]) for _, positions in arrays)
+
+
+def _positions_at(keys: tuple[MeshKeyframe, ...], time: float) -> NDArray[np.float64]:
+    """Between the last keyframe not after `time` and the first not before it."""
+    before = max((k for k in keys if k.time <= time), key=lambda k: k.time, default=keys[0])
+    after = min((k for k in keys if k.time >= time), key=lambda k: k.time, default=keys[-1])
+    a, b = np.asarray(before.positions, np.float64), np.asarray(after.positions, np.float64)
+    if after.time <= before.time:
+        return a
+    return np.asarray(a + (time - before.time) / (after.time - before.time) * (b - a))
+
+
+def _key_normals(
+    model: Quad | Mesh, found: Triangles, keys: list[tuple[float, NDArray[np.float64]]]
+) -> list[NDArray[np.float64]]:
+    """Vertex normals at every keyframe: computed ones follow the form, given ones stay as they are."""
+    from penumbra_kernels.compile.meshes import smooth_normals
+
+    assert found.normals is not None
+    computed = (
+        isinstance(model, Mesh) and model.smooth and model.normals is None and model.deformation is not None
+    )
+    return [smooth_normals(positions, found.indices) if computed else found.normals for _, positions in keys]
+
+
+def add_sphere(
+    vertices: Vertices, items: TreeItems, sphere: Sphere, matrix: Matrix, number: int, record: NDArray[Any]
+) -> int:
+    """A sphere under a similarity; its index. SHAPE_FLIP: the x axis of its frame is mirrored."""
+    linear = matrix[:3, :3]
+    scale = math.sqrt(float(np.trace(linear.T @ linear)) / 3.0)
+    turn = linear / scale
+    if _mirrors(matrix):
+        record["flags"] = CONSTANTS["SHAPE_FLIP"]
+        turn = turn @ np.diag([-1.0, 1.0, 1.0])
+    quaternion = Rotation.from_matrix(turn).as_quat()
+    out = np.zeros((), SPHERE)
+    out["center"] = linear @ np.asarray(sphere.center) + matrix[:3, 3]
+    out["radius"] = scale * sphere.radius
+    out["frame"] = quaternion[:3] * (-1.0 if quaternion[3] < 0.0 else 1.0)
+    out["shape"] = number
+    index = len(vertices.spheres)
+    vertices.spheres.append(out)
+    center = out["center"].astype(np.float64)[None]
+    items.add(center - float(out["radius"]), center + float(out["radius"]), round_word(0, index))
+    return index
+
+
+def axes_of(
+    normal: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(u, v, n), right-handed and of unit length: u is +X within the surface, or -Z where the normal is along X."""
+    n = normal / np.abs(normal).max()
+    n = n / np.linalg.norm(n)
+    reference = np.array([1.0, 0.0, 0.0]) if abs(n[0]) < 0.9 else np.array([0.0, 0.0, -1.0])
+    u = reference - n * (n @ reference)
+    u /= np.linalg.norm(u)
+    return u, np.cross(n, u), n
+
+
+def add_disc(
+    vertices: Vertices, items: TreeItems, disc: Disc, matrix: Matrix, number: int, record: NDArray[Any]
+) -> int:
+    """A disc under any affine matrix: an ellipse; its index. SHAPE_FLIP: its own second axis is mirrored."""
+    u, v, _ = axes_of(np.asarray(disc.normal, np.float64))
+    p, q = (matrix[:3, :3] @ (disc.radius * axis) for axis in (u, v))
+    cosine, sine = 1.0, 0.0
+    if _mirrors(matrix):
+        record["flags"] = CONSTANTS["SHAPE_FLIP"]
+        q = -q
+    if abs(float(p @ q)) > 1e-9 * float(np.linalg.norm(p) * np.linalg.norm(q)):
+        p, q, cosine, sine = _principal(p, q)
+    out = np.zeros((), DISC)
+    out["center"] = matrix[:3, :3] @ np.asarray(disc.center) + matrix[:3, 3]
+    out["u"] = [*p, cosine]
+    out["v"] = [*q, sine]
+    out["shape"] = number
+    index = len(vertices.discs)
+    vertices.discs.append(out)
+    half = np.sqrt(out["u"][:3].astype(np.float64) ** 2 + out["v"][:3].astype(np.float64) ** 2)
+    center = out["center"].astype(np.float64)
+    items.add((center - half)[None], (center + half)[None], round_word(1, index))
+    return index
+
+
+def _principal(
+    p: NDArray[np.float64], q: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """Orthogonal half axes of the ellipse p cos + q sin, and the angle (cosine, sine) that they turned: the point (a, b)
+    on them is (cosine a - sine b, sine a + cosine b) on p and q."""
+    angle = 0.5 * math.atan2(2.0 * float(p @ q), float(p @ p) - float(q @ q))
+    c, s = math.cos(angle), math.sin(angle)
+    return c * p + s * q, c * q - s * p, c, s
+
+
+def add_plane(vertices: Vertices, plane: Plane, matrix: Matrix, number: int) -> int:
+    """A plane under a matrix; its index. Its point is the one nearest to the tree's origin, where floats are densest."""
+    u, v, n = axes_of(np.asarray(plane.normal, np.float64))
+    inverse = np.linalg.inv(matrix[:3, :3])
+    at = matrix[:3, :3] @ np.asarray(plane.point) + matrix[:3, 3]
+    normal = n @ inverse
+    normal = normal / np.linalg.norm(normal)
+    point = normal * (normal @ at)
+    out = np.zeros((), PLANE)
+    out["point"], out["normal"][:3], out["shape"] = point, normal, number
+    for name, axis in (("tangent_u", u), ("tangent_v", v)):
+        gradient = axis @ inverse
+        out[name] = [*gradient, gradient @ (point - at)]
+    index = len(vertices.planes)
+    vertices.planes.append(out)
+    return index
