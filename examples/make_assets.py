@@ -1,7 +1,7 @@
-"""Makes what the example scenes need under examples/assets: a dusk sky, a tiled picture, a mesh of 131,072 triangles.
+"""Makes what the example scenes need under examples/assets: a dusk sky, a tiled picture, a mesh of 131,072 faces.
 
-`python examples/make_assets.py [sky] [tiles] [shell]` makes all, or those that are named. Needs numpy and, for the
-pictures, OpenImageIO. What it made is in the repository, so that the examples work as they are.
+`python examples/make_assets.py [sky] [tiles] [shell]` makes all, or those that are named. Needs numpy and, for
+the pictures, OpenImageIO. What it made is in the repository, so that the examples work as they are.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def tiles(side: int = 128) -> NDArray[np.uint8]:
 
 
 def shell() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """A fluted torus: positions (n, 3) in metres about the origin, triangles (m, 3) counter-clockwise from outside."""
+    """A fluted torus about the origin: positions (n, 3) in metres, triangles (m, 3) counter-clockwise outside."""
     i, j = np.meshgrid(np.arange(RINGS), np.arange(SIDES), indexing="ij")
     a, b = 2 * np.pi * i / RINGS, 2 * np.pi * j / SIDES
     tube = 0.42 * (1 + 0.09 * np.cos(12 * a + 3 * b) + 0.025 * np.cos(9 * b - 24 * a))
@@ -64,7 +64,7 @@ def shell() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
 
 def write_picture(path: Path, pixels: NDArray[np.float32] | NDArray[np.uint8]) -> None:
     """Write (height, width, 3) pixels: EXR as half floats, PNG as they are."""
-    import OpenImageIO as oiio
+    import OpenImageIO as oiio  # noqa: N813  (its own documentation calls it so)
 
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "half" if path.suffix == ".exr" else "uint8")
     out = oiio.ImageOutput.create(str(path))

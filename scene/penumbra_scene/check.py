@@ -19,6 +19,7 @@ from penumbra_scene.placement import Affine, placements
 from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Instance, Mesh, Plane, Shape, Sphere
 from penumbra_scene.textures import ImageTexture
+from penumbra_scene.transforms import Keyframes, Step
 
 _PIXEL_BOX: Final = 0.5
 """Radius of the box filter that is exactly one pixel."""
@@ -151,8 +152,14 @@ def _emitters(scene: Scene) -> Iterator[SceneError]:
         if isinstance(shape, Sphere) and shape.emission is not None and not _round(shape):
             message = "a sphere that emits must stay a sphere: its scale must be the same along every axis"
             accepted = "a uniform scale, or an emitting mesh"
-            given = shorten(shape.model_dump(mode="json", include={"transform"})["transform"])
-            yield SceneError(pointer(("shapes", i, "transform")), message, given, accepted)
+            at = pointer(("shapes", i, "transform"))
+            yield SceneError(at, message, _as_given(shape.transform), accepted)
+
+
+def _as_given(transform: tuple[Step, ...] | Keyframes) -> str:
+    if isinstance(transform, Keyframes):
+        return f"{len(transform.keyframes)} keyframes"
+    return shorten([step.model_dump(mode="json") for step in transform])
 
 
 def _round(sphere: Sphere) -> bool:
@@ -192,7 +199,9 @@ def _sizes(scene: Scene) -> Iterator[SceneError]:
         if thing.transform and not all(_bounded(m) for m in placements(thing.transform)):
             message = f"the steps together give numbers above {limits.MAX_MAGNITUDE:g}, or squash space flat"
             at = pointer((*path, "transform"))
-            yield SceneError(at, message, "", "smaller or larger factors and distances")
+            yield SceneError(
+                at, message, _as_given(thing.transform), "smaller or larger factors and distances"
+            )
 
 
 def _bounded(m: Affine) -> bool:

@@ -121,13 +121,14 @@ def _echoes_another(entry: Any) -> bool:
 def _item(entry: Any, body: Any, schema: dict[str, Any]) -> ProblemItem:
     kind: str = entry["type"]
     context: dict[str, Any] = entry.get("ctx", {})
-    path = resolve(entry["loc"], body, absent_last=kind == "missing")
+    loc = [*entry["loc"], *_steps(context.get("at", ""))]
+    path = resolve(loc, body) if kind != "missing" else None
+    if path is None:  # the last step is a key that the document leaves out
+        path = [*(resolve(loc[:-1], body) or []), loc[-1]]
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         path = [*path, str(context["discriminator"]).strip("'")]
     elif kind == "missing" and path and isinstance(path[-1], int):
         kind, path = "too_short", path[:-1]  # blame the array
-    elif "at" in context:
-        path = [*path, *_steps(context["at"])]
     return ProblemItem(
         pointer=printable(pointer(path)),
         message=_message(kind, entry["msg"], context),
@@ -162,15 +163,12 @@ def _message(kind: str, message: str, context: dict[str, Any]) -> str:
     return plain.get(kind, message.removeprefix("Value error, ").replace("Input should", "must"))
 
 
-def resolve(loc: Sequence[str | int], body: Any, *, absent_last: bool = False) -> list[str | int]:
-    """Pydantic's location as a path in the user's document.
+def resolve(loc: Sequence[str | int], body: Any) -> list[str | int] | None:
+    """Pydantic's location as a path in the user's document; None where the document has no such place.
 
     A location also holds names that are not in the document: tags of unions ('perspective', 'steps'). Of all
     ways to leave such elements out, take the one that leaves out the fewest, the earlier ones first.
     """
-    tail: list[str | int] = []
-    if absent_last and loc:
-        tail, loc = [loc[-1]], loc[:-1]
     best: tuple[list[int], list[str | int]] | None = None
     pending: list[tuple[int, Any, list[int], list[str | int]]] = [(0, body, [], [])]
     while pending:
@@ -186,7 +184,7 @@ def resolve(loc: Sequence[str | int], body: Any, *, absent_last: bool = False) -
             pending.append((at + 1, value, [*skipped, at], path))
         if _has(value, key):
             pending.append((at + 1, value[key], skipped, [*path, key]))
-    return [*(best[1] if best is not None else ()), *tail]
+    return best[1] if best is not None else None
 
 
 def _may_skip(value: Any, key: str | int) -> bool:

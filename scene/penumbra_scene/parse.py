@@ -135,7 +135,7 @@ def parse_scene(data: bytes, *, allow_files: bool = False) -> Scene:
 
 
 def job_from_json(body: Any, *, allow_files: bool = False) -> JobRequest:
-    """A checked job from a parsed document; `allow_files` on the command line only. Raises ProblemError (422)."""
+    """A checked job; `allow_files` on the command line only. Raises ProblemError (422)."""
     try:
         request = JobRequest.model_validate(body)
     except ValidationError as error:

@@ -92,9 +92,8 @@ STEP_KEYS = ("translate", "rotate", "scale", "matrix", "look_at")
 
 
 def _step_tag(value: Any) -> str | None:
-    if isinstance(value, dict):
-        return next((key for key in STEP_KEYS if key in value), None)
-    return next((key for key in STEP_KEYS if hasattr(value, key)), None)
+    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, Model) else ()
+    return next((key for key in STEP_KEYS if key in keys), None)
 
 
 Step = Annotated[
