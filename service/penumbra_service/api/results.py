@@ -1,0 +1,91 @@
+"""Routes of what a job leaves: pictures, receipt, scene. With ETag, conditional requests and byte ranges."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Final
+
+from fastapi import APIRouter, Request
+from fastapi.responses import FileResponse, Response, StreamingResponse
+from starlette.concurrency import run_in_threadpool
+
+from penumbra_service.api.jobs import service_of
+from penumbra_service.service import HEATMAP, RECEIPT, RESULT, THUMBNAIL, RenderService
+from penumbra_service.store.artifacts import NoSuchArtifactError
+
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
+
+_MEDIA: Final = {
+    RESULT: "image/x-exr",
+    THUMBNAIL: "image/png",
+    HEATMAP: "image/png",
+    RECEIPT: "application/json",
+}
+
+
+@router.api_route("/result.exr", methods=["GET", "HEAD"], response_class=FileResponse)
+async def exr(request: Request, job_id: str) -> Response:
+    """The picture with its variance, once the job is done."""
+    return await _artifact(request, job_id, RESULT)
+
+
+@router.api_route("/thumbnail.png", methods=["GET", "HEAD"], response_class=FileResponse)
+async def thumbnail(request: Request, job_id: str) -> Response:
+    """The picture as people look at it; it gets better while the job runs."""
+    return await _artifact(request, job_id, THUMBNAIL)
+
+
+@router.api_route("/heatmap.png", methods=["GET", "HEAD"], response_class=FileResponse)
+async def heatmap(request: Request, job_id: str) -> Response:
+    """Where the picture is how noisy."""
+    return await _artifact(request, job_id, HEATMAP)
+
+
+@router.api_route("/receipt.json", methods=["GET", "HEAD"], response_class=FileResponse)
+async def receipt(request: Request, job_id: str) -> Response:
+    """What the render was, what it cost, and how wrong it is, once the job is done."""
+    return await _artifact(request, job_id, RECEIPT)
+
+
+@router.api_route("/scene.json", methods=["GET", "HEAD"])
+async def scene(request: Request, job_id: str) -> Response:
+    """The scene as it is rendered, with every default written out."""
+    text = await run_in_threadpool(_scene_text, service_of(request), job_id)
+    etag = f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+    if _known(request, etag):
+        return Response(status_code=304, headers={"ETag": etag})
+    return Response(text, headers={"ETag": etag}, media_type="application/json")
+
+
+def _scene_text(service: RenderService, job_id: str) -> str:
+    return service.request(job_id).resolved_scene().model_dump_json(indent=1)
+
+
+async def _artifact(request: Request, job_id: str, name: str) -> Response:
+    service = service_of(request)
+    return await run_in_threadpool(_answer, request, service, job_id, name)
+
+
+def _answer(request: Request, service: RenderService, job_id: str, name: str) -> Response:
+    row = service.jobs.get(job_id)
+    try:
+        info = service.artifacts.info(job_id, name)
+        path = service.artifacts.local_path(job_id, name)
+    except NoSuchArtifactError:
+        raise NoSuchArtifactError(f"job {job_id} has no {name}: it is {row.state}") from None
+    etag = f'"{hashlib.sha256(info.etag.encode()).hexdigest()[:32]}"'
+    headers = {"ETag": etag, "Cache-Control": "no-cache"}
+    if _known(request, etag):
+        return Response(status_code=304, headers=headers)
+    if path is not None:
+        return FileResponse(path, headers=headers, media_type=_MEDIA[name])
+    headers["Content-Length"] = str(info.size)
+    if request.method == "HEAD":
+        return Response(headers=headers, media_type=_MEDIA[name])
+    return StreamingResponse(service.artifacts.read(job_id, name), headers=headers, media_type=_MEDIA[name])
+
+
+def _known(request: Request, etag: str) -> bool:
+    """Whether the caller has this version already."""
+    names = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+    return etag in names or "*" in names

@@ -1,0 +1,36 @@
+"""Just enough lettering for a scale: digits, point and percent sign, 3 x 5 pixels each."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+WIDTH: Final = 4
+"""Of a letter and the gap after it."""
+_ROWS: Final = {
+    "0": ("###", "# #", "# #", "# #", "###"),
+    "1": (" # ", "## ", " # ", " # ", "###"),
+    "2": ("###", "  #", "###", "#  ", "###"),
+    "3": ("###", "  #", "###", "  #", "###"),
+    "4": ("# #", "# #", "###", "  #", "  #"),
+    "5": ("###", "#  ", "###", "  #", "###"),
+    "6": ("###", "#  ", "###", "# #", "###"),
+    "7": ("###", "  #", "  #", "  #", "  #"),
+    "8": ("###", "# #", "###", "# #", "###"),
+    "9": ("###", "# #", "###", "  #", "###"),
+    ".": ("   ", "   ", "   ", "   ", " # "),
+    "%": ("# #", "  #", " # ", "#  ", "# #"),
+}
+
+
+def draw_text(pixels: NDArray[np.uint8], text: str, center: int, top: int) -> None:
+    """Draws in white around column `center`, moved so that it stays inside."""
+    width = len(text) * WIDTH - 1
+    left = max(0, min(center - width // 2, pixels.shape[1] - width))
+    for i, letter in enumerate(text):
+        for y, row in enumerate(_ROWS[letter]):
+            for x, mark in enumerate(row):
+                if mark == "#" and left + i * WIDTH + x < pixels.shape[1]:
+                    pixels[top + y, left + i * WIDTH + x] = 255

@@ -1,0 +1,34 @@
+"""Writes 8-bit sRGB PNG files, aside first and then renamed, so that a reader never meets half a picture."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813 - its own documentation calls it so
+from numpy.typing import NDArray
+
+
+def write_png(path: Path, pixels: NDArray[np.uint8], texts: Mapping[str, str] | None = None) -> None:
+    """(height, width, 3) of sRGB code values. Raises OSError."""
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
+    spec.attribute("oiio:ColorSpace", "sRGB")
+    for name, text in (texts or {}).items():
+        spec.attribute(name, text)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", suffix=".png", dir=path.parent)
+    os.close(handle)
+    try:
+        writer = oiio.ImageOutput.create(name)
+        if writer is None:
+            raise OSError(oiio.geterror())
+        done = writer.open(name, spec) and writer.write_image(np.ascontiguousarray(pixels)) and writer.close()
+        if not done:
+            raise OSError(writer.geterror())
+        Path(name).chmod(0o644)
+        Path(name).replace(path)
+    finally:
+        Path(name).unlink(missing_ok=True)

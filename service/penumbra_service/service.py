@@ -1,0 +1,356 @@
+"""The render service without HTTP: takes jobs in, runs one at a time, survives restarts, tells whoever
+watches.
+
+A job waits in the ledger. One thread takes the first of the queue (higher priority, then older), hands it
+to a runner, and writes down what the runner reports. Cancelling, pausing and overtaking are all done by
+asking the runner to stop: it leaves a snapshot, from which the job can go on later.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from penumbra_scene.errors import Problem, make_problem
+from penumbra_scene.job import DeviceStatus, JobRequest, JobState, StopReason
+from penumbra_scene.parse import parse_job
+
+from penumbra_service.images.assets import FolderAssets
+from penumbra_service.images.limits import DecodeLimits
+from penumbra_service.settings import Settings
+from penumbra_service.status import initial_progress
+from penumbra_service.store.artifacts import Artifacts
+from penumbra_service.store.assets import AssetStore
+from penumbra_service.store.database import Database
+from penumbra_service.store.jobs import JobRow, JobStore, NewJob, SqlJobStore
+from penumbra_service.store.keys import KeyStore
+from penumbra_service.watchers import Watchers
+
+log = logging.getLogger(__name__)
+
+ACTIVE: Final = (JobState.COMPILING, JobState.RENDERING, JobState.FINISHING)
+"""States in which a runner has the job."""
+WAITING: Final = (JobState.QUEUED,)
+OPEN: Final = (*WAITING, *ACTIVE, JobState.PAUSED)
+"""States that are no end."""
+
+RESULT: Final = "result.exr"
+THUMBNAIL: Final = "thumbnail.png"
+HEATMAP: Final = "heatmap.png"
+RECEIPT: Final = "receipt.json"
+
+
+class Halt(StrEnum):
+    """Why a runner is asked to stop early."""
+
+    CANCEL = "cancel"
+    PAUSE = "pause"
+    YIELD = "yield"
+    """A more urgent job waits."""
+    SHUTDOWN = "shutdown"
+
+
+class Control:
+    """How a runner learns that it shall stop. Any thread may ask; the first reason stays, but for CANCEL."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self._reason: Halt | None = None
+
+    def halt(self, reason: Halt) -> None:
+        if self._reason is None or reason is Halt.CANCEL:
+            self._reason = reason
+        self._event.set()
+
+    @property
+    def reason(self) -> Halt | None:
+        return self._reason
+
+    def wait(self, seconds: float) -> bool:
+        """Sleeps; True as soon as a stop is asked for."""
+        return self._event.wait(seconds)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A job for a runner."""
+
+    job_id: str
+    request: JobRequest
+    folder: Path
+    """The job's own: snapshots from before may lie in it, and results are to be left in it under their
+    names."""
+    created: datetime
+    started: datetime
+    control: Control
+    report: Callable[[JobState, Mapping[str, Any]], None]
+    """Called with a state and fields of penumbra_scene.job.Progress (or `devices`) whenever there is news."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended. Neither: it was halted, and a snapshot lies in the folder."""
+
+    stop_reason: StopReason | None = None
+    problem: Problem | None = None
+
+
+class Runner(Protocol):
+    """Renders one job at a time on the devices that it owns."""
+
+    def start(self) -> None:
+        """Gets ready; devices may still be starting when it returns."""
+
+    def run(self, task: Task) -> Outcome:
+        """Blocks until the job has ended or `task.control` asked for a stop. Goes on from a snapshot, if
+        any."""
+
+    def devices(self) -> list[DeviceStatus]: ...
+
+    def stop(self) -> None:
+        """Ends every process that it started."""
+
+
+class ConflictError(Exception):
+    """The job is in a state that does not allow this."""
+
+    def __init__(self, job: JobRow, action: str, allowed: str) -> None:
+        super().__init__(f"job {job.id} is {job.state}; to {action} it, it must be {allowed}")
+
+
+class RenderService:
+    """Everything that the HTTP pages ask for."""
+
+    def __init__(self, settings: Settings, runner: Runner) -> None:
+        self.settings = settings
+        self.runner = runner
+        settings.data.mkdir(parents=True, exist_ok=True)
+        self.database = Database(settings.database)
+        self.database.migrate()
+        self.keys = KeyStore(self.database)
+        self.jobs: JobStore = SqlJobStore(self.database)
+        self.artifacts = Artifacts(settings.artifacts)
+        self.asset_store = AssetStore(self.database, settings.assets_folder, settings.max_asset_bytes)
+        self.assets = FolderAssets(settings.assets_folder, limits=decode_limits(settings))
+        self.watchers = Watchers()
+        self.started = datetime.now(UTC)
+        self._wake = threading.Condition()
+        self._stopping = False
+        self._running: tuple[JobRow, Control] | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Puts what an earlier process left running back into the queue, and begins to work."""
+        for row in self.jobs.waiting(ACTIVE):
+            self.jobs.move(row.id, ACTIVE, JobState.QUEUED)
+        self.runner.start()
+        self._thread = threading.Thread(target=self._work, name="penumbra-queue", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Has the running job write its snapshot, then ends."""
+        with self._wake:
+            self._stopping = True
+            if self._running is not None:
+                self._running[1].halt(Halt.SHUTDOWN)
+            self._wake.notify_all()
+        if self._thread is not None:
+            self._thread.join(self.settings.shutdown_seconds)
+            if self._thread.is_alive():
+                log.warning("the running job did not stop in time; it will go on from an earlier snapshot")
+        self.runner.stop()
+        self.database.close()
+
+    def submit(self, job: NewJob) -> tuple[JobRow, bool]:
+        """The job and whether it is new. Raises store.jobs.IdempotencyConflictError."""
+        row, created = self.jobs.create(job)
+        if created:
+            self._changed(row)
+        return row, created
+
+    def cancel(self, job_id: str) -> JobRow:
+        """Ends a job; one that is cancelled already stays so. Raises NoSuchJobError, ConflictError."""
+        now = datetime.now(UTC)
+        row = self.jobs.move(job_id, OPEN, JobState.CANCELLED, finished=now, reason=StopReason.CANCELLED)
+        if row is None:
+            row = self.jobs.get(job_id)
+            if row.state != JobState.CANCELLED:
+                raise ConflictError(row, "cancel", "queued, running or paused")
+        self._halt(job_id, Halt.CANCEL)
+        self._changed(row)
+        return row
+
+    def pause(self, job_id: str) -> JobRow:
+        """Takes a job out of the queue, or stops it with a snapshot. Raises NoSuchJobError, ConflictError."""
+        row = self.jobs.move(
+            job_id, (JobState.QUEUED, JobState.COMPILING, JobState.RENDERING), JobState.PAUSED
+        )
+        if row is None:
+            row = self.jobs.get(job_id)
+            if row.state != JobState.PAUSED:
+                raise ConflictError(row, "pause", "queued or running")
+        self._halt(job_id, Halt.PAUSE)
+        self._changed(row)
+        return row
+
+    def resume(self, job_id: str) -> JobRow:
+        """Puts a paused job back into the queue. Raises NoSuchJobError, ConflictError."""
+        row = self.jobs.move(job_id, (JobState.PAUSED,), JobState.QUEUED)
+        if row is None:
+            row = self.jobs.get(job_id)
+            if JobState(row.state).ended:
+                raise ConflictError(row, "resume", "paused")
+        self._changed(row)
+        return row
+
+    def prioritize(self, job_id: str, priority: int) -> JobRow:
+        """Moves a job in the queue. Raises NoSuchJobError, ConflictError."""
+        row = self.jobs.get(job_id)
+        if JobState(row.state).ended:
+            raise ConflictError(row, "re-prioritise", "queued, running or paused")
+        row = self.jobs.set(job_id, priority=priority)
+        self._changed(row)
+        return row
+
+    def request(self, job_id: str) -> JobRequest:
+        """What was asked for. Raises NoSuchJobError."""
+        return parse_job(self.jobs.request(job_id).encode())
+
+    def _changed(self, row: JobRow) -> None:
+        with self._wake:
+            if self._running is not None and row.id == self._running[0].id:
+                self._running = (row, self._running[1])
+            self._overtake()
+            self._wake.notify_all()
+        self.watchers.ring(row.id)
+
+    def _overtake(self) -> None:
+        """Stops the running job if a waiting one has a higher priority."""
+        if self._running is None:
+            return
+        waiting = self.jobs.waiting(WAITING)
+        if waiting and waiting[0].priority > self._running[0].priority:
+            self._running[1].halt(Halt.YIELD)
+
+    def _halt(self, job_id: str, reason: Halt) -> None:
+        with self._wake:
+            if self._running is not None and self._running[0].id == job_id:
+                self._running[1].halt(reason)
+
+    def _work(self) -> None:
+        while (taken := self._take()) is not None:
+            row, control = taken
+            try:
+                self._run(row, control)
+            except Exception:
+                log.exception("job %s: the service failed", row.id)
+                self._end(row.id, Outcome(problem=_internal_problem()))
+            finally:
+                with self._wake:
+                    self._running = None
+
+    def _take(self) -> tuple[JobRow, Control] | None:
+        """Waits for a job and marks it; None once the service stops."""
+        with self._wake:
+            while not self._stopping:
+                for row in self.jobs.waiting(WAITING):
+                    started = row.started or datetime.now(UTC)
+                    taken = self.jobs.move(row.id, WAITING, JobState.COMPILING, started=started)
+                    if taken is not None:
+                        self._running = (taken, Control())
+                        return self._running
+                self._wake.wait()
+        return None
+
+    def _run(self, row: JobRow, control: Control) -> None:
+        self.watchers.ring(row.id)
+        folder = self.settings.work_folder / row.id
+        folder.mkdir(parents=True, exist_ok=True)
+        task = Task(
+            row.id,
+            self.request(row.id),
+            folder,
+            row.created,
+            row.started or row.created,
+            control,
+            lambda state, news: self._report(row.id, folder, state, news),
+        )
+        outcome = self.runner.run(task)
+        if outcome.stop_reason is not None or outcome.problem is not None:
+            self._publish(row.id, folder)
+            self._end(row.id, outcome)
+        elif self.jobs.move(row.id, ACTIVE, JobState.QUEUED) is not None:
+            self.watchers.ring(row.id)
+
+    def _report(self, job_id: str, folder: Path, state: JobState, news: Mapping[str, Any]) -> None:
+        row = self.jobs.get(job_id)
+        if row.state not in ACTIVE:
+            return  # paused or cancelled in the meantime: the runner just does not know yet
+        if news.get("thumbnail_revision", 0) > row.progress.get("thumbnail_revision", 0):
+            self._publish_one(job_id, folder, THUMBNAIL)
+            self._publish_one(job_id, folder, HEATMAP)
+        self.jobs.move(job_id, ACTIVE, state, progress={**row.progress, **news})
+        self.watchers.ring(job_id)
+
+    def _publish(self, job_id: str, folder: Path) -> None:
+        for name in (RESULT, THUMBNAIL, HEATMAP, RECEIPT):
+            self._publish_one(job_id, folder, name)
+
+    def _publish_one(self, job_id: str, folder: Path, name: str) -> None:
+        if (folder / name).is_file():
+            self.artifacts.put(job_id, name, folder / name)
+
+    def _end(self, job_id: str, outcome: Outcome) -> None:
+        row = self.jobs.get(job_id)
+        failed = outcome.problem is not None
+        reason = StopReason.FAILED if failed else outcome.stop_reason
+        progress = dict(row.progress)
+        if outcome.problem is not None:
+            progress["problem"] = outcome.problem.model_dump(mode="json")
+        else:
+            progress |= {"progress": 1.0, "predicted_seconds": None}
+        state = JobState.FAILED if failed else JobState.DONE
+        now = datetime.now(UTC)
+        # a job that was paused while its last files were written is done nevertheless
+        self.jobs.move(
+            job_id, (*ACTIVE, JobState.PAUSED), state, reason=reason, progress=progress, finished=now
+        )
+        self.watchers.ring(job_id)
+
+
+def decode_limits(settings: Settings) -> DecodeLimits:
+    """Limits on assets from the settings."""
+    return DecodeLimits(
+        file_bytes=settings.max_asset_bytes,
+        memory_bytes=settings.decode_memory_bytes,
+        seconds=settings.decode_seconds,
+    )
+
+
+def new_job(request: JobRequest, text: str, digest: str, owner: str | None, key: str | None) -> NewJob:
+    """A row for the ledger from a checked request and the JSON text that says the same."""
+    return NewJob(
+        request=text,
+        body_digest=digest,
+        name=request.name or request.scene.name,
+        priority=request.priority,
+        owner=owner,
+        idempotency_key=key,
+        state=JobState.QUEUED,
+        progress=initial_progress(request),
+    )
+
+
+def _internal_problem() -> Problem:
+    return make_problem(
+        "internal",
+        "The service failed",
+        500,
+        "an error of the service itself ended the job; its log says more",
+    )

@@ -1,0 +1,153 @@
+"""The service's settings: environment variables PENUMBRA_*, then whatever the caller gives (command-line
+flags).
+
+docs/configuration.md documents every one of them.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final
+
+from penumbra_scene import limits
+
+ENVIRONMENT_PREFIX: Final = "PENUMBRA_"
+
+
+class SettingsError(ValueError):
+    """A setting cannot be used; the message says which, what was given and what is accepted."""
+
+
+def _default_data() -> Path:
+    base = os.environ.get("XDG_DATA_HOME") or "~/.local/share"
+    return Path(base).expanduser() / "penumbra"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Each field is a setting; its environment variable is PENUMBRA_ and its name in capitals."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. Anything but loopback needs an API key."""
+    port: int = 8484
+    """TCP port; 0 takes a free one."""
+    data: Path = field(default_factory=_default_data)
+    """Folder of the database, assets, working files and results."""
+    database_url: str = ""
+    """SQLAlchemy URL; empty: SQLite in the data folder."""
+    artifacts_url: str = ""
+    """Where results go, as fsspec takes it; empty: the data folder."""
+    hosts: tuple[str, ...] = ()
+    """Further names under which browsers may reach the service (commas between them); '*' for any."""
+    devices: str = ""
+    """Which OpenCL devices work: identifiers or indices with commas, as `penumbra devices` lists them;
+    empty: all."""
+    max_body_bytes: int = limits.MAX_BODY_BYTES
+    """Largest JSON body."""
+    max_asset_bytes: int = limits.MAX_ASSET_BYTES
+    """Largest asset."""
+    decode_memory_bytes: int = 8 << 30
+    """Address space of the process that decodes an asset."""
+    decode_seconds: float = 120.0
+    """Time that decoding an asset may take."""
+    snapshot_seconds: float = 5.0
+    """Time between snapshots of a running job: what a crash of the service may lose."""
+    preview_seconds: float = 2.0
+    """Time between new thumbnails of a running job."""
+    heartbeat_seconds: float = 15.0
+    """Time between signs of life in a stream of events."""
+    shutdown_seconds: float = 30.0
+    """How long a shutdown waits for the running job's snapshot."""
+    log_level: str = "info"
+    """debug, info, warning or error."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_body_bytes", "max_asset_bytes", "decode_memory_bytes"):
+            _require(getattr(self, name) >= 1, name, getattr(self, name), "a whole number of at least 1")
+        for name in ("decode_seconds", "snapshot_seconds", "preview_seconds", "heartbeat_seconds"):
+            _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
+        _require(
+            self.shutdown_seconds >= 0, "shutdown_seconds", self.shutdown_seconds, "a number of at least 0"
+        )
+        _require(0 <= self.port <= 65535, "port", self.port, "0 to 65535")
+        levels = ("debug", "info", "warning", "error")
+        _require(self.log_level in levels, "log_level", self.log_level, ", ".join(levels))
+
+    @property
+    def database(self) -> str:
+        """The SQLAlchemy URL in use."""
+        return self.database_url or f"sqlite:///{self.data.absolute() / 'penumbra.sqlite3'}"
+
+    @property
+    def artifacts(self) -> str:
+        """The fsspec URL in use."""
+        return self.artifacts_url or str(self.data.absolute() / "results")
+
+    @property
+    def assets_folder(self) -> Path:
+        """Uploaded files, by content."""
+        return self.data.absolute() / "assets"
+
+    @property
+    def work_folder(self) -> Path:
+        """Snapshots and unfinished files of jobs, a folder for each."""
+        return self.data.absolute() / "work"
+
+    @property
+    def public(self) -> bool:
+        """Whether other machines may reach the service."""
+        return not is_loopback(self.host)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a socket bound to `host`. A name other than localhost counts as
+    public."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def _require(good: bool, name: str, given: Any, accepted: str) -> None:
+    if not good:
+        raise SettingsError(f"{name}: given {given!r}, accepted: {accepted}")
+
+
+def load_settings(
+    given: Mapping[str, Any] | None = None, environment: Mapping[str, str] | None = None
+) -> Settings:
+    """Settings from the environment, overridden by `given` values that are not None. Raises SettingsError."""
+    environment = os.environ if environment is None else environment
+    values: dict[str, Any] = {}
+    for setting in fields(Settings):
+        text = environment.get(ENVIRONMENT_PREFIX + setting.name.upper())
+        if text is not None:
+            values[setting.name] = _converted(setting.name, str(setting.type), text)
+    values |= {name: value for name, value in (given or {}).items() if value is not None}
+    unknown = values.keys() - {setting.name for setting in fields(Settings)}
+    if unknown:
+        raise SettingsError(f"there is no setting {', '.join(sorted(unknown))}")
+    return Settings(**values)
+
+
+def _converted(name: str, kind: str, text: str) -> Any:
+    try:
+        if kind == "int":
+            return int(text)
+        if kind == "float":
+            return float(text)
+    except ValueError:
+        raise SettingsError(
+            f"{ENVIRONMENT_PREFIX}{name.upper()}: given {text!r}, accepted: a number"
+        ) from None
+    if kind == "Path":
+        return Path(text).expanduser()
+    if kind.startswith("tuple"):
+        return tuple(part.strip() for part in text.split(",") if part.strip())
+    return text

@@ -1,0 +1,206 @@
+"""The ledger of jobs. It keeps documents and order; it does not know what a state means.
+
+Every change of a job raises its `revision`, by which watchers know what they have not seen yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Final, Protocol
+
+from sqlalchemy import Select, func, insert, select, update
+
+from penumbra_service.store.database import Database
+from penumbra_service.store.ids import new_id
+from penumbra_service.store.schema import jobs
+
+MAX_PAGE: Final = 500
+
+
+class IdempotencyConflictError(Exception):
+    """The key was used before, with another body; `job_id` is what it made then."""
+
+    def __init__(self, job_id: str) -> None:
+        super().__init__(f"the idempotency key already made job {job_id} from another body")
+        self.job_id = job_id
+
+
+class NoSuchJobError(LookupError):
+    """No job has this identifier."""
+
+
+@dataclass(frozen=True)
+class NewJob:
+    """What a submission brings. `scope` separates the idempotency keys of different callers."""
+
+    request: str
+    body_digest: str
+    name: str
+    priority: int = 0
+    owner: str | None = None
+    idempotency_key: str | None = None
+    state: str = "queued"
+    progress: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def scope(self) -> str | None:
+        return None if self.idempotency_key is None else (self.owner or "")
+
+
+@dataclass(frozen=True)
+class JobRow:
+    """A job without its request, which may be many megabytes."""
+
+    id: str
+    state: str
+    priority: int
+    name: str
+    progress: Mapping[str, Any]
+    revision: int
+    crashes: int
+    reason: str | None
+    owner: str | None
+    created: datetime
+    updated: datetime
+    started: datetime | None
+    finished: datetime | None
+
+
+class JobStore(Protocol):
+    """What the service asks of a ledger. All methods are safe to call from several threads and processes."""
+
+    def create(self, job: NewJob) -> tuple[JobRow, bool]:
+        """The job and whether it is new. Raises IdempotencyConflictError."""
+
+    def get(self, job_id: str) -> JobRow:
+        """Raises NoSuchJobError."""
+
+    def request(self, job_id: str) -> str:
+        """The request's JSON text. Raises NoSuchJobError."""
+
+    def page(self, states: Collection[str] = (), before: str | None = None, limit: int = 50) -> list[JobRow]:
+        """The newest jobs first, older than `before`, in any of the states (all where none is given)."""
+
+    def waiting(self, states: Collection[str]) -> list[JobRow]:
+        """Jobs in these states in the order of the queue: higher priority first, then the older."""
+
+    def move(self, job_id: str, allowed: Collection[str], to: str, **fields: Any) -> JobRow | None:
+        """Changes the state if it is one of `allowed`, else None. `fields` are further columns to set."""
+
+    def set(self, job_id: str, **fields: Any) -> JobRow:
+        """Sets columns: progress, priority, crashes, reason, started, finished. Raises NoSuchJobError."""
+
+    def counts(self) -> dict[str, int]:
+        """How many jobs each state has."""
+
+
+_COLUMNS: Final = [c for c in jobs.c if c.name in JobRow.__dataclass_fields__]
+_SETTABLE: Final = frozenset({"progress", "priority", "crashes", "reason", "started", "finished"})
+
+
+class SqlJobStore:
+    """JobStore in an SQL database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def create(self, job: NewJob) -> tuple[JobRow, bool]:
+        with self._database.write() as connection:
+            if job.idempotency_key is not None:
+                earlier = connection.execute(_by_idempotency(job)).one_or_none()
+                if earlier is not None:
+                    if earlier.body_digest != job.body_digest:
+                        raise IdempotencyConflictError(earlier.id)
+                    return _job(connection.execute(_by_id(earlier.id)).one()), False
+            now = datetime.now(UTC)
+            row_id = new_id()
+            connection.execute(insert(jobs).values(**_values(job), id=row_id, created=now, updated=now))
+            return _job(connection.execute(_by_id(row_id)).one()), True
+
+    def get(self, job_id: str) -> JobRow:
+        with self._database.read() as connection:
+            row = connection.execute(_by_id(job_id)).one_or_none()
+        if row is None:
+            raise NoSuchJobError(job_id)
+        return _job(row)
+
+    def request(self, job_id: str) -> str:
+        with self._database.read() as connection:
+            text = connection.execute(select(jobs.c.request).where(jobs.c.id == job_id)).scalar_one_or_none()
+        if text is None:
+            raise NoSuchJobError(job_id)
+        return str(text)
+
+    def page(self, states: Collection[str] = (), before: str | None = None, limit: int = 50) -> list[JobRow]:
+        query = select(*_COLUMNS).order_by(jobs.c.id.desc()).limit(min(limit, MAX_PAGE))
+        if states:
+            query = query.where(jobs.c.state.in_(states))
+        if before is not None:
+            query = query.where(jobs.c.id < before)
+        with self._database.read() as connection:
+            return [_job(row) for row in connection.execute(query)]
+
+    def waiting(self, states: Collection[str]) -> list[JobRow]:
+        query = select(*_COLUMNS).where(jobs.c.state.in_(states)).order_by(jobs.c.priority.desc(), jobs.c.id)
+        with self._database.read() as connection:
+            return [_job(row) for row in connection.execute(query)]
+
+    def move(self, job_id: str, allowed: Collection[str], to: str, **fields: Any) -> JobRow | None:
+        change = update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(allowed))
+        return self._change(job_id, change.values(state=to, **_changes(fields)))
+
+    def set(self, job_id: str, **fields: Any) -> JobRow:
+        row = self._change(job_id, update(jobs).where(jobs.c.id == job_id).values(**_changes(fields)))
+        if row is None:
+            raise NoSuchJobError(job_id)
+        return row
+
+    def counts(self) -> dict[str, int]:
+        query = select(jobs.c.state, func.count().label("count_")).group_by(jobs.c.state)
+        with self._database.read() as connection:
+            return {row.state: row.count_ for row in connection.execute(query)}
+
+    def _change(self, job_id: str, change: Any) -> JobRow | None:
+        with self._database.write() as connection:
+            if connection.execute(change).rowcount == 0:
+                return None
+            return _job(connection.execute(_by_id(job_id)).one())
+
+
+def _by_id(job_id: str) -> Select[Any]:
+    return select(*_COLUMNS).where(jobs.c.id == job_id)
+
+
+def _by_idempotency(job: NewJob) -> Select[Any]:
+    return select(jobs.c.id, jobs.c.body_digest).where(
+        jobs.c.idempotency_scope == job.scope, jobs.c.idempotency_key == job.idempotency_key
+    )
+
+
+def _values(job: NewJob) -> dict[str, Any]:
+    return {
+        "state": job.state,
+        "priority": job.priority,
+        "name": job.name,
+        "request": job.request,
+        "progress": dict(job.progress),
+        "revision": 1,
+        "crashes": 0,
+        "owner": job.owner,
+        "idempotency_scope": job.scope,
+        "idempotency_key": job.idempotency_key,
+        "body_digest": job.body_digest,
+    }
+
+
+def _changes(fields: Mapping[str, Any]) -> dict[str, Any]:
+    unknown = fields.keys() - _SETTABLE
+    if unknown:
+        raise ValueError(f"cannot set {sorted(unknown)}; what can be set: {sorted(_SETTABLE)}")
+    return {**fields, "revision": jobs.c.revision + 1, "updated": datetime.now(UTC)}
+
+
+def _job(row: Any) -> JobRow:
+    return JobRow(**row._mapping)

@@ -1,0 +1,90 @@
+"""API keys. Only a SHA-256 of each is stored: a key has 256 random bits, so guessing needs no slowing
+down."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from sqlalchemy import func, insert, or_, select, update
+
+from penumbra_service.store.database import Database
+from penumbra_service.store.ids import new_id
+from penumbra_service.store.schema import api_keys
+
+PREFIX: Final = "pnb_"
+RANDOM_BYTES: Final = 32
+HINT_LENGTH: Final = 8
+"""Characters of a key that are kept readable, so that a person can tell two apart."""
+
+
+@dataclass(frozen=True)
+class ApiKey:
+    """What is known of a key; the key itself is shown once, when it is made."""
+
+    id: str
+    name: str
+    hint: str
+    created: datetime
+    revoked: datetime | None
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode()).digest()
+
+
+def _key(row: Any) -> ApiKey:
+    return ApiKey(row.id, row.name, row.hint, row.created, row.revoked)
+
+
+class KeyStore:
+    """Makes, checks and revokes keys."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def create(self, name: str) -> tuple[str, ApiKey]:
+        """A new key: its text, which is not kept, and what is."""
+        token = PREFIX + secrets.token_urlsafe(RANDOM_BYTES)
+        key = ApiKey(new_id(), name, token[:HINT_LENGTH], datetime.now(UTC), None)
+        with self._database.write() as connection:
+            connection.execute(
+                insert(api_keys).values(
+                    id=key.id, name=name, hint=key.hint, created=key.created, digest=_digest(token)
+                )
+            )
+        return token, key
+
+    def check(self, token: str) -> ApiKey | None:
+        """The key that this text is, if it exists and is not revoked. Digests are compared: timing tells
+        nothing."""
+        query = select(api_keys).where(api_keys.c.digest == _digest(token), api_keys.c.revoked.is_(None))
+        with self._database.read() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else _key(row)
+
+    def revoke(self, id_or_name: str) -> int:
+        """Ends the key with this identifier, or all with this name; how many that were."""
+        match = or_(api_keys.c.id == id_or_name, api_keys.c.name == id_or_name)
+        change = update(api_keys).where(match, api_keys.c.revoked.is_(None)).values(revoked=datetime.now(UTC))
+        with self._database.write() as connection:
+            return connection.execute(change).rowcount
+
+    def list(self) -> list[ApiKey]:
+        """Every key, the oldest first, revoked ones too."""
+        with self._database.read() as connection:
+            return [_key(row) for row in connection.execute(select(api_keys).order_by(api_keys.c.id))]
+
+    def any_active(self) -> bool:
+        """Whether any key was made and not revoked."""
+        query = select(func.count()).select_from(api_keys).where(api_keys.c.revoked.is_(None))
+        with self._database.read() as connection:
+            return connection.execute(query).scalar_one() > 0
+
+    def any_made(self) -> bool:
+        """Whether any key was ever made: a service that had keys does not fall open when they are revoked."""
+        with self._database.read() as connection:
+            return connection.execute(select(func.count()).select_from(api_keys)).scalar_one() > 0
