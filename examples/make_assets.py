@@ -1,6 +1,6 @@
-"""Makes what the example scenes need under examples/assets: a dusk sky, a tiled picture, a mesh of 131,072 faces.
+"""Makes what the example scenes need under examples/assets: a dusk sky, tiles, a mesh of 131,072 triangles.
 
-`python examples/make_assets.py [sky] [tiles] [shell]` makes all, or those that are named. Needs numpy and, for
+`python examples/make_assets.py [sky] [tiles] [shell]` makes all, or those named. Needs numpy and, for
 the pictures, OpenImageIO. What it made is in the repository, so that the examples work as they are.
 """
 
@@ -49,7 +49,7 @@ def tiles(side: int = 128) -> NDArray[np.uint8]:
 
 
 def shell() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """A fluted torus about the origin: positions (n, 3) in metres, triangles (m, 3) counter-clockwise outside."""
+    """A fluted torus about the origin: positions (n, 3) in metres, triangles (m, 3) facing outwards."""
     i, j = np.meshgrid(np.arange(RINGS), np.arange(SIDES), indexing="ij")
     a, b = 2 * np.pi * i / RINGS, 2 * np.pi * j / SIDES
     tube = 0.42 * (1 + 0.09 * np.cos(12 * a + 3 * b) + 0.025 * np.cos(9 * b - 24 * a))
