@@ -1,0 +1,183 @@
+"""What the service's package adds to the command `penumbra`, found by entry points.
+
+Nothing heavy is imported before a command runs: `penumbra --help` imports this module.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from penumbra_scene.exits import Exit
+
+if TYPE_CHECKING:
+    from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
+    from penumbra_scene.receipt import Receipt
+
+    from penumbra_service.settings import Settings
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command as the command line wants it."""
+
+    SUMMARY: str
+    DESCRIPTION: str
+    configure: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
+
+
+class CommandError(Exception):
+    """A command cannot do what it should; its text goes to standard error."""
+
+    def __init__(self, message: str, exit_code: Exit = Exit.USAGE) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def _settings(**given: Any) -> Settings:
+    from penumbra_service.settings import SettingsError, load_settings
+
+    try:
+        return load_settings(given)
+    except SettingsError as error:
+        raise CommandError(str(error)) from None
+
+
+_SERVE: Final = """\
+Keep a render service up: the REST API, the web pages, and a process for every OpenCL device.
+
+Jobs, assets and results live in the data folder and survive a restart. Every setting has an environment
+variable; docs/configuration.md lists them all. Once it listens, the service prints its address.
+
+  penumbra serve                                 on 127.0.0.1:8484
+  penumbra serve --port 0 --data out/data        on a free port
+  penumbra keys create laptop                    make a key; then other machines may be let in:
+  penumbra serve --host 0.0.0.0
+"""
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="where the service keeps everything (default: PENUMBRA_DATA, or ~/.local/share/penumbra)",
+    )
+
+
+def _configure_serve(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--host", help="address to listen on (default 127.0.0.1); any other needs an API key")
+    parser.add_argument("--port", type=int, help="TCP port (default 8484); 0 takes a free one")
+    _add_data(parser)
+    parser.add_argument("--devices", metavar="IDS", help="OpenCL devices, commas between them (default: all)")
+    parser.add_argument("--log-level", choices=("debug", "info", "warning", "error"), help="default: info")
+
+
+def _serve(arguments: argparse.Namespace) -> int:
+    from penumbra_service.serving import serve
+    from penumbra_service.settings import SettingsError
+
+    settings = _settings(
+        host=arguments.host,
+        port=arguments.port,
+        data=arguments.data,
+        devices=arguments.devices,
+        log_level=arguments.log_level,
+    )
+    try:
+        return serve(settings)
+    except SettingsError as error:
+        raise CommandError(str(error)) from error
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise CommandError(
+            f"cannot serve on {settings.host} port {settings.port} with data in {settings.data}: {why}"
+        ) from error
+
+
+SERVE: Final = Command("keep a render service up", _SERVE, _configure_serve, _serve)
+
+_KEYS: Final = """\
+Make, list and revoke the API keys of a service whose data lie on this machine.
+
+A key is shown once, when it is made; only a hash of it is kept. Clients take it from PENUMBRA_API_KEY. Once a
+service has ever had a key, it answers nobody without one.
+
+  penumbra keys create laptop
+  penumbra keys list
+  penumbra keys revoke laptop
+"""
+
+
+def _configure_keys(parser: argparse.ArgumentParser) -> None:
+    _add_data(parser)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    create = actions.add_parser("create", help="make a key, and print it")
+    create.add_argument("name", help="what it is for")
+    actions.add_parser("list", help="list the keys, without what is secret")
+    revoke = actions.add_parser("revoke", help="end a key")
+    revoke.add_argument("name", help="a key's name or id")
+
+
+def _keys(arguments: argparse.Namespace) -> int:
+    _settings(data=arguments.data)  # a complaint about settings should come before anything is made
+    return _KEY_ACTIONS[arguments.action](arguments)
+
+
+def _create_key(arguments: argparse.Namespace) -> int:
+    from penumbra_service.serve import create_key
+
+    token, _ = create_key(arguments.name, arguments.data)
+    print(token)
+    return Exit.OK
+
+
+def _list_keys(arguments: argparse.Namespace) -> int:
+    from penumbra_service.serve import list_keys
+
+    for key in list_keys(arguments.data):
+        state = "active" if key.revoked is None else f"revoked {key.revoked:%Y-%m-%d}"
+        print(f"{key.id}  {key.hint}...  {key.created:%Y-%m-%d}  {state}  {key.name}")
+    return Exit.OK
+
+
+def _revoke_key(arguments: argparse.Namespace) -> int:
+    from penumbra_service.serve import revoke_key
+
+    if revoke_key(arguments.name, arguments.data) == 0:
+        raise CommandError(f"there is no active key {arguments.name!r}; `penumbra keys list` shows them")
+    return Exit.OK
+
+
+_KEY_ACTIONS: Final = {"create": _create_key, "list": _list_keys, "revoke": _revoke_key}
+KEYS: Final = Command("make, list and revoke API keys", _KEYS, _configure_keys, _keys)
+
+
+class LocalEngine:
+    """Renders on this machine's devices, without a service."""
+
+    def devices(self) -> DevicePage:
+        """The OpenCL devices of this machine."""
+        from penumbra_service.rendering import local_devices
+
+        return local_devices()
+
+    def render(
+        self,
+        request: JobRequest,
+        folder: Path,
+        out: Path,
+        devices: str,
+        report: Callable[[ProgressEvent], None],
+    ) -> Receipt:
+        """Render a job whose files lie under `folder` and leave its results in `out`. Raises CommandError."""
+        from penumbra_service.rendering import render
+
+        return render(request, folder, out, devices, report)
+
+
+ENGINE: Final = LocalEngine()

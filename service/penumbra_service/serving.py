@@ -1,0 +1,85 @@
+"""`penumbra serve`: a socket, the application behind it, and a clean end."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import signal
+import socket
+import sys
+from types import FrameType
+from typing import Final
+
+import uvicorn
+from penumbra_scene.exits import Exit
+
+from penumbra_service.app import create_app
+from penumbra_service.settings import Settings
+
+_GRACE_SECONDS: Final = 5
+"""After this, connections that a stop finds open are cut off."""
+
+
+def serve(settings: Settings) -> int:
+    """Run until a signal comes; returns the exit status.
+
+    Raises SettingsError where the settings do not go together, OSError where the address cannot be had.
+    """
+    logging.basicConfig(
+        level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    )
+    with listen(settings.host, settings.port) as listening:
+        config = uvicorn.Config(
+            create_app(settings),
+            log_config=None,
+            access_log=settings.log_level == "debug",
+            timeout_graceful_shutdown=_GRACE_SECONDS,
+            server_header=False,
+        )
+        return _run(_Server(config), listening)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A bound socket: with port 0 a free port is found, and it stays ours. Raises OSError."""
+    found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    family, kind, protocol, _, address = found[0]
+    listening = socket.socket(family, kind, protocol)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+    except OSError:
+        listening.close()
+        raise
+    return listening
+
+
+def url_of(listening: socket.socket) -> str:
+    """The address that a browser on this machine takes."""
+    host, port = listening.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):
+        host = "127.0.0.1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+class _Server(uvicorn.Server):
+    """Says where it listens once it does: whoever started it waits for that line."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for listening in sockets or ():
+            print(f"Penumbra listens on {url_of(listening)}", flush=True)
+
+
+def _run(server: uvicorn.Server, listening: socket.socket) -> int:
+    # uvicorn raises the signal that stopped it once more when it is done: that is then a normal end.
+    signal.signal(signal.SIGTERM, _leave)
+    with contextlib.suppress(KeyboardInterrupt):
+        try:
+            server.run(sockets=[listening])
+        except SystemExit as leaving:
+            return Exit.OK if leaving.code == Exit.OK else Exit.INTERNAL
+    return Exit.OK
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    sys.exit(Exit.OK)
