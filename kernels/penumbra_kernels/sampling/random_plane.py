@@ -1,8 +1,8 @@
-"""Points for each pixel of the `random` sampler: x = xi1 W, y = xi2 H, W H points on the film for each sample index.
+"""The `random` sampler, x = xi1 W, y = xi2 H: how many of W H points a sample index fall into each pixel.
 
-How many of them fall into a pixel is decided without throwing them: the film is halved again and again, and a
-binomial draw says how many points go left. Every draw is keyed by (seed, replicate, index, rectangle), so that any
-tile gets the same counts by itself, and over the film they add up to W H exactly.
+That is decided without throwing them: the film is halved again and again, and a binomial draw says how many
+points go left. Every draw is keyed by (seed, replicate, index, rectangle), so any tile gets the same counts
+by itself, and over the film they add up to W H exactly.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _plan(width: int, height: int, tile: Tile) -> _Plan:
 
 
 def _halve(rectangles: Counts, tile: Tile) -> tuple[Counts, _Level]:
-    """Split all rectangles across their longer sides at the largest power of two below: most splits are fair."""
+    """Split rectangles across their longer side at the largest power of two below: most splits are fair."""
     x, y, w, h = rectangles.T
     splits = w * h > 1
     split = np.flatnonzero(splits)
@@ -124,9 +124,9 @@ def _fair_split(n: Counts, u: NDArray[np.float64], rows: int) -> Counts:
 
 
 def _split_any(n: Counts, share: NDArray[np.float64], u: NDArray[np.float64]) -> Counts:
-    """Inverse CDF of the binomial distribution: a first guess by its normal limit, then steps to the exact k."""
+    """Inverse CDF of the binomial distribution: a guess by its normal limit, then steps to the exact k."""
     guess = n * share + np.sqrt(n * share * (1.0 - share)) * ndtri(u)
-    k = np.clip(np.round(guess).astype(np.int64), 0, n)
+    k: Counts = np.clip(np.round(guess).astype(np.int64), 0, n)
     step = np.ones_like(k)
     while step.any():
         down = (k > 0) & (_at_most(k - 1, n, share) > u)
@@ -139,7 +139,7 @@ def _split_any(n: Counts, share: NDArray[np.float64], u: NDArray[np.float64]) ->
 def _at_most(k: Counts, n: Counts, share: NDArray[np.float64]) -> NDArray[np.float64]:
     """P(at most k of n points), by the regularised incomplete beta function (DLMF 8.17.5)."""
     tail = betainc(np.maximum(n - k, 1), k + 1.0, 1.0 - share)
-    return np.where(k >= n, 1.0, tail)
+    return np.asarray(np.where(k >= n, 1.0, tail))
 
 
 def binomial(n: Counts, share: NDArray[np.float64], u: NDArray[np.float64]) -> Counts:

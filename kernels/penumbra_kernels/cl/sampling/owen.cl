@@ -33,11 +33,11 @@ static inline uint owen_scramble(const uint x, const uint seed) {
 // Second Sobol dimension from the first (the bit-reversed index): multiplication by the Pascal matrix modulo 2, which
 // factors into one step for each bit of a bit's number (Ahmed 2024, "An Implementation Algorithm of 2D Sobol Sequence").
 static inline uint pascal(uint x) {
-  x ^= x >> 16;
-  x ^= (x & 0xff00ff00u) >> 8;
-  x ^= (x & 0xf0f0f0f0u) >> 4;
-  x ^= (x & 0xccccccccu) >> 2;
-  return x ^ ((x & 0xaaaaaaaau) >> 1);
+  x ^= x << 16;
+  x ^= (x & 0x00ff00ffu) << 8;
+  x ^= (x & 0x0f0f0f0fu) << 4;
+  x ^= (x & 0x33333333u) << 2;
+  return x ^ ((x & 0x55555555u) << 1);
 }
 
 // Owen-scrambled first dimension at an index: the bit reversal that makes it meets the one that scrambling needs.
