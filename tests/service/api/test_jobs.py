@@ -211,9 +211,7 @@ def test_a_mistake_of_the_runner_fails_the_job_only(
     wait_for(client.post("/v1/jobs", json=scene).json()["id"], "done")
 
 
-def test_jobs_go_on_after_a_restart(
-    settings: Any, scene: dict[str, Any], runner: Any, tmp_path: Path
-) -> None:
+def test_jobs_go_on_after_a_restart(settings: Any, scene: dict[str, Any], runner: Any, until: Any) -> None:
     with TestClient(create_app(settings, runner), base_url="http://127.0.0.1") as client:
         running = client.post("/v1/jobs", json=scene).json()["id"]
         waiting = client.post("/v1/jobs", json=scene).json()["id"]
