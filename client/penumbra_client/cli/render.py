@@ -28,7 +28,7 @@ receipt in a folder.
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_scene(parser)
-    parser.add_argument("--out", metavar="FOLDER", required=True, help="where the results go")
+    parser.add_argument("--out", metavar="FOLDER", default="out", help="where the results go (default: out)")
     parser.add_argument(
         "--device", metavar="IDS", default="", help="OpenCL devices, commas between them (default: all)"
     )
