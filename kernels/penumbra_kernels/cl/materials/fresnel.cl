@@ -3,14 +3,16 @@
 #include "base/types.h"
 
 // eta^2 - 1 + c^2, which is eta^2 times the squared cosine of refraction, to a relative error of some 2^-23 even where it
-// nearly vanishes: both squares are taken with their rounding errors (fma), their leading parts cancel exactly.
+// nearly vanishes, at the critical angle of eta < 1: both squares and the difference from 1 are taken with their rounding
+// errors (fma; Fast2Sum, Dekker 1971, since 1 >= eta^2 there), and the leading parts that then cancel do so exactly.
 static inline float refraction_cosine2(const float c, const float eta) {
   const float e = eta * eta;
   const float e_error = FMA(eta, eta, -e);
   const float q = c * c;
   const float q_error = FMA(c, c, -q);
-  // For e in [1/2, 2] e - 1 is exact (Sterbenz); outside it there is no critical angle nearby, or no cancellation.
-  return ((e - 1.0f) + q) + (e_error + q_error);
+  const float d = e - 1.0f;
+  const float d_error = e < 1.0f ? e - (d + 1.0f) : 0.0f;
+  return (d + q) + (d_error + (e_error + q_error));
 }
 
 // Unpolarised Fresnel reflectance for a cosine c in [0, 1] (Walter et al. 2007, eq. 22, in Born and Wolf's amplitudes).
