@@ -58,13 +58,13 @@ def compile_scene(scene: Scene, assets: Assets, time: float = 0.0) -> CompiledSc
     geometry = compile_geometry(scene, assets, time, anchor, material_index)
     lights = compile_lights(scene, geometry, time, anchor, assets)
     camera, camera_keyframes, shutter_table = compile_camera(scene.camera, scene.film, time, anchor)
-    camera["first_keyframe"] = len(geometry.keyframes)
+    camera["first_keyframe"] = len(geometry.keyframes) + len(lights.keyframes)
     arrays = {
         **geometry.arrays,
         **lights.arrays,
         "filter_table": compile_filter(scene.film.filter),
         "shutter_table": shutter_table,
-        "keyframes": np.concatenate([geometry.keyframes, camera_keyframes]),
+        "keyframes": np.concatenate([geometry.keyframes, lights.keyframes, camera_keyframes]),
         "materials": materials,
         "albedo_table": compile_albedo_table(materials),
         "textures": textures,
