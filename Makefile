@@ -38,14 +38,14 @@ types: setup ## mypy in strict mode
 contracts: setup ## import-linter: who may import whom
 	@$(BIN)/lint-imports
 
-schema: setup ## write docs/scene.schema.json from the scene models
+schema: setup ## write docs/schema from the models
 	@$(BIN)/python -m penumbra_scene.schema
 
 layout: setup ## write kernels/penumbra_kernels/cl/layout.h from layout.py
 	@$(BIN)/python -m penumbra_kernels.layout
 
-lock: setup ## pin every package, with hashes, in requirements.lock
-	@./scripts/lock.sh
+lock: setup ## pin every package, with hashes (ARGS=--upgrade for newer ones)
+	@./scripts/lock.sh $(ARGS)
 
 pictures: setup ## render every example into docs/pictures
 	@$(BIN)/python scripts/pictures.py $(ARGS)

@@ -114,10 +114,9 @@ def _samples_of(scene: Path) -> int | None:
 
 def tell(job: JobStatus, paths: dict[str, Path]) -> None:
     """What came out, and what to do next."""
+    spent = f"{job.samples_done:.0f} samples a pixel in {duration(job.seconds)} of tracing"
     error = error_text(job.relative_error, job.relative_error_interval)
-    print(
-    told = f"relative error {error_text(job.relative_error, job.relative_error_interval)}"
-    )
+    print(f"\n{spent}; relative error {error}\n")
     for name, path in paths.items():
         print(f"  {name:10} {_short(path)}")
     print(

@@ -1,10 +1,22 @@
 #!/usr/bin/env bash
-# Writes requirements.lock: every package that the extras need, pinned with hashes, naming no host.
+# Pins every package with hashes, naming no host: requirements.lock has all that developing and testing need,
+# requirements-service.lock the same versions of what the service alone needs.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-bin=${VENV:-.venv}/bin
-"$bin/python" -m uv --version >/dev/null 2>&1 || "$bin/python" -m pip install --quiet uv
-"$bin/python" -m uv pip compile pyproject.toml --extra service --extra cpu --extra dev \
-  --python-version 3.11 --universal --generate-hashes \
-  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
-  --output-file requirements.lock "$@" >/dev/null
+python=${VENV:-.venv}/bin/python
+"$python" -m uv --version >/dev/null 2>&1 || "$python" -m pip install --quiet uv
+
+# pin OUTPUT EXTRA...
+pin() {
+  local output=$1 extras=() extra
+  shift
+  for extra in "$@"; do extras+=(--extra "$extra"); done
+  "$python" -m uv pip compile pyproject.toml "${extras[@]}" --python-version 3.11 --universal \
+    --generate-hashes --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
+    --output-file "$output" "${upgrade[@]}" >/dev/null
+}
+
+upgrade=("$@")
+pin requirements.lock service cpu dev
+upgrade=(--constraint requirements.lock)
+pin requirements-service.lock service cpu
