@@ -34,26 +34,41 @@ static inline Stratum stratum_of(const ulong element, const uint strata) {
 // Number of bits that hold 0 ... count - 1.
 static inline uint bits_of(const uint count) { return count > 1u ? 32u - CLZ(count - 1u) : 0u; }
 
-// A permutation of [0, 2^bits) that the key picks: rounds of x -> a x + b and x ^ (x >> h), both bijective.
-static inline uint mix_bits(uint x, const uint bits, const ulong key) {
-  const uint mask = (1u << bits) - 1u;
-  const uint shift = (bits + 1u) >> 1;
-  ulong k = key;
-  for (int round = 0; round < 4; ++round) {
-    k = k * 0xd1342543de82ef95ul + 0x9e3779b97f4a7c15ul;  // a 64-bit congruential generator; its high bits are used
-    x = (x * ((uint)(k >> 32) | 1u) + (uint)(k >> 40)) & mask;
-    x ^= x >> shift;
+#define SMALL_COUNT 16u
+
+// A shuffle of up to 16 numbers, exact (Fisher and Yates; Durstenfeld 1964), a nibble each.
+static inline uint permute_small(const uint i, const uint count, ulong key) {
+  ulong order = 0xfedcba9876543210ul;
+  for (uint j = count - 1u; j > 0u; --j) {
+    key = key * 0xd1342543de82ef95ul + HASH_STEP;  // a congruential generator of 64 bits, whose high ones are used
+    const uint k = (uint)(((key >> 32) * (j + 1u)) >> 32);
+    const ulong swap = ((order >> (4u * j)) ^ (order >> (4u * k))) & 15ul;
+    order ^= (swap << (4u * j)) | (j == k ? 0ul : swap << (4u * k));
   }
-  return x;
+  return (uint)(order >> (4u * i)) & 15u;
 }
 
-// A permutation of [0, count) that the key picks: walks along a cycle of a permutation of the next power of two until
-// it is back within range (Black and Rogaway 2002), fewer than two steps on average.
+// A permutation of [0, 2^bits) that the key picks: a Feistel network of the two halves of the bits (Luby and Rackoff 1988).
+static inline uint permute_bits(const uint x, const uint bits, const ulong key) {
+  const uint low_bits = bits >> 1;
+  const uint low_mask = (1u << low_bits) - 1u;
+  const uint high_mask = (1u << (bits - low_bits)) - 1u;
+  uint low = x & low_mask;
+  uint high = x >> low_bits;
+  for (uint round = 0u; round < 4u; ++round) {
+    high ^= (uint)(mix64(key + low + ((ulong)(2u * round) << 32)) >> 32) & high_mask;
+    low ^= (uint)(mix64(key + high + ((ulong)(2u * round + 1u) << 32)) >> 32) & low_mask;
+  }
+  return (high << low_bits) | low;
+}
+
+// A permutation of [0, count) that the key picks. Large ones walk along a cycle of a permutation of the next power of two
+// until they are back within range (Black and Rogaway 2002), fewer than two steps on average.
 static inline uint permute(const uint i, const uint count, const ulong key) {
-  if (count < 2u) return 0u;
+  if (count <= SMALL_COUNT) return permute_small(i, count, key);
   const uint bits = bits_of(count);
   uint x = i;
-  do x = mix_bits(x, bits, key);
+  do x = permute_bits(x, bits, key);
   while (x >= count);
   return x;
 }
