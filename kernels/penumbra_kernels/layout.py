@@ -98,10 +98,10 @@ INSTANCE: Final = np.dtype(
         ("first_keyframe", np.uint32),
         ("keyframe_count", np.uint32),  # 0: still
         ("object_id", np.uint32),
-        ("light_offset", np.uint32),  # add to its shapes' `light`: a copy of an emitting prototype is a light of its own
         ("inner_first_keyframe", np.uint32),  # a motion within the prototype, applied before the instance's own
         ("inner_keyframe_count", np.uint32),
         ("pad0", np.uint32),
+        ("pad1", np.uint32),
     ]
 )
 
@@ -218,9 +218,9 @@ LIGHT: Final = np.dtype(
         ("position", np.float32, (3,)),  # point, spot; quad: origin; disc, sphere: center
         ("shape", np.uint32),  # of area lights, or NONE
         ("direction", np.float32, (3,)),  # spot, directional: where the light goes, unit; quad: u; disc: half axis
-        ("cos_inner", np.float32),  # spot; sphere: radius
+        ("inner", np.float32),  # spot: 1 - cos of the angle within which the light is full; sphere: radius
         ("axis_v", np.float32, (3,)),  # quad: v; disc: second half axis
-        ("cos_outer", np.float32),  # spot
+        ("outer", np.float32),  # spot: 1 - cos of the angle beyond which there is no light
         ("area", np.float32),  # area lights; at the shutter's opening where they move
         ("pmf", np.float32),  # chance of this light in the light choice
         ("first_cdf", np.uint32),  # mesh: its triangles' CDF in `emitter_cdf`, triangle_count + 1 entries

@@ -129,10 +129,10 @@ typedef struct {
   uint first_keyframe;
   uint keyframe_count;
   uint object_id;
-  uint light_offset;
   uint inner_first_keyframe;
   uint inner_keyframe_count;
   uint pad0;
+  uint pad1;
 } Instance;
 // sizeof(Instance) == 128
 
@@ -242,9 +242,9 @@ typedef struct {
   float position[3];
   uint shape;
   float direction[3];
-  float cos_inner;
+  float inner;
   float axis_v[3];
-  float cos_outer;
+  float outer;
   float area;
   float pmf;
   uint first_cdf;

@@ -1,8 +1,8 @@
 """Discrete distributions for a device whose uniform numbers have 24 bits: CDFs and Walker's alias table.
 
-Probabilities are rounded, in float64, to multiples of 2^-24 with at least one step for every weight above zero. So what
-the device writes down as a probability is exactly the share of the uniform numbers that leads there, whatever the ratio
-of the largest weight to the smallest: nothing is chosen more rarely, or more often, than its density says.
+Probabilities are rounded, in float64, to multiples of 2^-24 with at least one step for every weight above zero.
+So what the device takes for a probability is exactly the share of the uniform numbers that lead there, whatever
+the ratio of the largest weight to the smallest: nothing is chosen more or less often than its density says.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MAX_ENTRIES: Final = STEPS // 2
 """Beyond it rounding could leave an entry without a step of its own."""
 
 LIFTED: Final = 1.0 + 1e-6
-"""Steps below which a weight counts as one step; above 1, so that the sums' own rounding cannot round it to none."""
+"""Steps below which a weight counts as one step; above 1, so that the sums' own rounding leaves it one."""
 
 
 def quantised_cdf(weights: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -65,7 +65,7 @@ def quantised_pmf(weights: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def alias_table(weights: NDArray[np.float64]) -> NDArray[Any]:
-    """(n,) of ALIAS for cl/lights/choice.cl: entry i's probability is proportional to weights[i], which is >= 0.
+    """(n,) of ALIAS for cl/lights/choice.cl: entry i's probability goes as weights[i] >= 0.
 
     Walker 1977, built as Vose 1991 does, but in integers: entry i of n owns the numbers k in [0, STEPS) with
     floor(k n / STEPS) = i, and keeps as many of them as fit. Raises as quantised_cdf.

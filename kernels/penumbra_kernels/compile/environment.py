@@ -1,4 +1,4 @@
-"""Environment images: texels, and the distribution from which light samples are drawn (cl/lights/environment.cl).
+"""Environment images: texels, and the distribution that light samples follow (cl/lights/environment.cl).
 
 Latitude-longitude, row 0 at +Y; radiance in W / (m^2 sr), linear Rec.709. Everything is built in float64.
 """
@@ -41,13 +41,13 @@ class CompiledEnvironment:
 def row_solid_angles(height: int) -> NDArray[np.float64]:
     """(height,) solid angle of each row of the sphere, sr."""
     middle = (np.arange(height) + 0.5) * np.pi / height
-    return 4.0 * np.pi * np.sin(middle) * np.sin(0.5 * np.pi / height)
+    return np.asarray(4.0 * np.pi * np.sin(middle) * np.sin(0.5 * np.pi / height))
 
 
 def texel_means(gray: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(h, w) mean over each texel of the bilinear image of `gray` (h + 2, w), which has a row more at top and bottom.
+    """(h, w) mean over each texel of the bilinear image of `gray` (h + 2, w), a row more at each end.
 
-    Between texel centres the image is linear: the mean over a texel is 1/8, 6/8, 1/8 of the neighbours, each way.
+    Between texel centres the image is linear: the mean over a texel is 1/8, 6/8, 1/8 of its neighbours.
     """
     across = 0.75 * gray + 0.125 * (np.roll(gray, 1, axis=1) + np.roll(gray, -1, axis=1))
     return np.asarray(0.75 * across[1:-1] + 0.125 * (across[:-2] + across[2:]))
@@ -62,7 +62,8 @@ def _pixels(environment: ImageEnvironment, assets: Assets) -> NDArray[np.float32
         raise AssetError(f"image {name} has shape {pixels.shape}; accepted is (height, width, 3), not empty")
     if max(pixels.shape) > limits.MAX_TEXTURE_SIDE:
         raise AssetError(
-            f"image {name} is {pixels.shape[1]} x {pixels.shape[0]}; accepted are sides of up to {limits.MAX_TEXTURE_SIDE}"
+            f"image {name} is {pixels.shape[1]} x {pixels.shape[0]};"
+            f" accepted are sides of up to {limits.MAX_TEXTURE_SIDE}"
         )
     broken = int(np.count_nonzero(~np.isfinite(pixels)))
     if broken:
@@ -93,7 +94,7 @@ def compile_environment(environment: ImageEnvironment, assets: Assets, time: flo
 
 
 def _fill_columns(buffer: NDArray[np.float32], height: int, width: int) -> NDArray[np.float64]:
-    """Writes each row's CDF, and its texels' densities along u into their fourth component. Returns the rows' flux."""
+    """Writes each row's CDF, and its texels' densities along u behind their colours. Returns the rows' flux."""
     texels = height * width
     flat = buffer.reshape(-1)
     first = 4 * texels + height + 1

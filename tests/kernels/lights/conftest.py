@@ -159,7 +159,16 @@ class Bench:
 
     def _run(self, kernel: str, out: Array, count: int, scene: LightScene, *arguments: Any) -> None:
         buffers = [self.device.upload(a) if isinstance(a, np.ndarray) else a for a in arguments]
-        names = ("light_table", "emitter_cdf", "environment", "instances", "keyframes", "shapes", "triangles", "positions")
+        names = (
+            "light_table",
+            "emitter_cdf",
+            "environment",
+            "instances",
+            "keyframes",
+            "shapes",
+            "triangles",
+            "positions",
+        )
         world = [self.device.upload(np.array(scene.lights, LIGHT))]
         world += [self.device.upload(getattr(scene, name)) for name in names]
         own = len(scene.lights) - (scene.environment_light != NONE)
@@ -179,7 +188,15 @@ class Bench:
         kept = np.flatnonzero(out[:, 11])
         o = out[kept]
         return Samples(
-            kept, o[:, 0:3], o[:, 3], o[:, 4:7], o[:, 7], o[:, 8:11], o[:, 12:15], o[:, 15:18], o[:, 11] == 2.0
+            kept,
+            o[:, 0:3],
+            o[:, 3],
+            o[:, 4:7],
+            o[:, 7],
+            o[:, 8:11],
+            o[:, 12:15],
+            o[:, 15:18],
+            o[:, 11] == 2.0,
         )
 
     def hit_pdf(
@@ -205,7 +222,15 @@ class Bench:
 
     def emitted(self, scene: LightScene, wo: Array, ng: Array, shape: int = 0) -> Array:
         out = np.empty((len(wo), 3), np.float32)
-        self._run("emitted", out, len(wo), scene, np.asarray(wo, np.float32), np.asarray(ng, np.float32), np.uint32(shape))
+        self._run(
+            "emitted",
+            out,
+            len(wo),
+            scene,
+            np.asarray(wo, np.float32),
+            np.asarray(ng, np.float32),
+            np.uint32(shape),
+        )
         return out
 
     def choose(self, scene: LightScene, u: Array) -> tuple[Array, Array, Array]:
@@ -219,7 +244,6 @@ class Bench:
         out = np.empty((len(d), 4), np.float32)
         self._run("sky", out, len(d), scene, np.asarray(d, np.float32))
         return out[:, :3], out[:, 3]
-
 
     @staticmethod
     def uniform(count: int, seed: int, dims: int = 2) -> Array:

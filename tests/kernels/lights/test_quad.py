@@ -34,7 +34,9 @@ def corner_angle(x, y, h):
 
 def rectangle_solid_angle(x0, x1, y0, y1, h):
     """Solid angle of [x0, x1] x [y0, y1] in a plane at distance h, the foot at the origin."""
-    return corner_angle(x1, y1, h) - corner_angle(x0, y1, h) - corner_angle(x1, y0, h) + corner_angle(x0, y0, h)
+    return (
+        corner_angle(x1, y1, h) - corner_angle(x0, y1, h) - corner_angle(x1, y0, h) + corner_angle(x0, y0, h)
+    )
 
 
 def on_quad(samples, o, u, v):
@@ -48,7 +50,9 @@ def test_unit_square_lights_the_floor_as_its_form_factor_says(bench, distance: f
     scene = bench.scene([bench.light("quad", **UNIT)])
     s = bench.sample(scene, (0.0, -distance, 0.0), bench.grid(512))
     x = 0.5 / distance
-    exact = 4 * x / math.sqrt(1 + x * x) * math.atan(x / math.sqrt(1 + x * x))  # pi F; 4 quarters, Howell's C-11
+    exact = (
+        4 * x / math.sqrt(1 + x * x) * math.atan(x / math.sqrt(1 + x * x))
+    )  # pi F; 4 quarters, Howell's C-11
     assert len(s.pdf) == 512 * 512
     assert np.mean(s.wi[:, 1].astype(np.float64) / s.pdf) == pytest.approx(exact, rel=1e-5)
 
@@ -217,7 +221,9 @@ def test_emitted_radiance_leaves_the_front_alone(bench) -> None:
     normal = np.tile([[0.0, -1.0, 0.0]], (4, 1))
     one = bench.scene([bench.light("quad", **UNIT, radiance=(1, 2, 3))])
     two = bench.scene([bench.light("quad", **UNIT, radiance=(1, 2, 3), flags=1)])
-    assert np.array_equal(bench.emitted(one, directions, normal), [[1, 2, 3], [1, 2, 3], [0, 0, 0], [0, 0, 0]])
+    assert np.array_equal(
+        bench.emitted(one, directions, normal), [[1, 2, 3], [1, 2, 3], [0, 0, 0], [0, 0, 0]]
+    )
     assert np.array_equal(bench.emitted(two, directions, normal), np.tile([1, 2, 3], (4, 1)))
 
 

@@ -1,4 +1,5 @@
 // Hits on spheres, discs and planes as points on surfaces, in the frame of their tree. Metres.
+#include "base/transcendental.cl"
 #include "geometry/surface_local.cl"
 #include "geometry/disc.cl"
 #include "geometry/plane.cl"
@@ -10,9 +11,9 @@ static inline float3 rotate_by(const float4 q, const float3 v) {
 
 // Longitude from +Z towards +X and latitude from -Y to +Y, both in [0, 1], of a unit vector in the sphere's own frame.
 static inline float2 sphere_uv(const float3 n) {
-  const float longitude = atan2(n.x, n.z) * INV_2PI_F;
+  const float longitude = atan2_f(n.x, n.z) * INV_2PI_F;
   const float horizontal = SQRT(n.x * n.x + n.z * n.z);
-  return (float2)(longitude < 0.0f ? longitude + 1.0f : longitude, 0.5f + atan2(n.y, horizontal) * INV_PI_F);
+  return (float2)(longitude < 0.0f ? longitude + 1.0f : longitude, 0.5f + atan2_f(n.y, horizontal) * INV_PI_F);
 }
 
 static inline void sphere_surface(const SceneData *scene, const Ray *ray, const Hit *hit, LocalSurface *s) {

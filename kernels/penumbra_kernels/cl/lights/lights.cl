@@ -13,19 +13,6 @@
 #include "lights/directional.cl"
 #include "lights/environment.cl"
 
-// The light that a surface belongs to, or NONE. Copies of an emitting prototype are lights of their own.
-static inline uint light_of(const SceneData *scene, const Surface *surface) {
-#if PENUMBRA_AREA_LIGHTS
-  const uint light = scene->shapes[surface->shape].light;
-#if PENUMBRA_INSTANCING
-  if (light != NONE && surface->instance != NONE) return light + scene->instances[surface->instance].light_offset;
-#endif
-  return light;
-#else
-  return NONE;
-#endif
-}
-
 static inline bool area_light_sample(const SceneData *scene, const __global Light *light, const float3 p,
                                      const float time, const float u_triangle, const float2 u, LightSample *out) {
   out->delta = false;

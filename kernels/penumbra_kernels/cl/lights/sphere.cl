@@ -30,7 +30,7 @@ typedef struct {
 static inline Sphere sphere_at(const SceneData *scene, const __global Light *light, const float time) {
   Sphere s;
   s.center = load3(light->position);
-  s.radius = light->cos_inner;
+  s.radius = light->inner;
   s.volume = 1.0f;
   s.placed = area_light_placement(scene, light, time, s.world_from_object, s.object_from_world);
   if (s.placed) s.volume = FABS(determinant(s.world_from_object));
