@@ -26,11 +26,11 @@ fingerprint() {
 }
 
 python_is_new_enough() {
-  "$python" -c "import sys; sys.exit(sys.version_info < (3, $min_minor))" 2>/dev/null
+  "$python" -c "import sys; sys.exit(sys.version_info < (3, $min_minor))" >/dev/null 2>&1
 }
 
 python_has_venv() {
-  "$python" -c 'import ensurepip, venv' 2>/dev/null
+  "$python" -c 'import ensurepip, venv' >/dev/null 2>&1
 }
 
 # PoCL's compiler calls `ld` on the host's libc and libgcc for every kernel, and ends the whole process where that
@@ -73,9 +73,10 @@ provide_system_packages() {
 
 check_system() {
   if [ "$(uname -s)" != Linux ]; then fail "Penumbra's pinned packages are for Linux; this is $(uname -s)"; fi
-  provide_system_packages
-  python_is_new_enough ||
+  if command -v "$python" >/dev/null && ! python_is_new_enough; then
     fail "needs Python 3.$min_minor or newer, but $python is $("$python" -V 2>&1); name another with PYTHON=python3.12 make ..."
+  fi
+  provide_system_packages
   linker_works ||
     fail "'ld' still cannot link with libc and libgcc, which PoCL needs for every kernel; try: ld -shared -o /tmp/x -lc -lm"
 }
