@@ -21,7 +21,7 @@ def test_a_point_out_of_focus_spreads_over_its_circle_of_confusion(render: Any, 
     """Thin lens: a point at depth z blurs to a disc of radius a |1/z - 1/f| in the plane z = 1; second moments tell it.
 
     A regular n-gon of circumradius r has the second moment r^2 (2 + cos(2 pi / n)) / 12 along an axis."""
-    aperture, focus, radius, side = 0.1, 3.0, 0.02, 64
+    aperture, focus, radius, side = 0.1, 3.0, 0.01 * depth, 64
     fov = 10.0
     picture = render(
         dark(
@@ -120,7 +120,7 @@ def test_a_shutter_without_duration_is_the_still_picture(render: Any) -> None:
 def test_a_checkerboard_at_the_horizon_has_its_mean(render: Any) -> None:
     picture = render(
         {
-            "camera": {"type": "perspective", "fov": 1, "transform": {"look_at": {"origin": [0, 1, 0], "target": [0.3, 0.9, -40]}}},
+            "camera": {"type": "perspective", "fov": 1, "transform": {"look_at": {"origin": [0, 1, 0], "target": [0.3, 0.4, -40]}}},
             "film": {"width": 16, "height": 16},
             "textures": {"c": {"type": "checker", "color0": 0, "color1": 1}},
             "materials": {"m": {"type": "diffuse", "base_color": {"texture": "c"}}},
