@@ -136,6 +136,18 @@ class Progress(Model):
     """Rises with every new picture; 0: there is none yet."""
 
 
+class ErrorPoint(Model):
+    """The error when so much had been spent."""
+
+    samples: NonNegative
+    """A pixel, on average."""
+    seconds: NonNegative
+    """Of tracing."""
+    relmse: NonNegative | None
+    relative_error: NonNegative | None
+    relative_error_interval: Interval | None = None
+
+
 class JobStatus(Progress):
     """A job as it stands."""
 
@@ -158,6 +170,8 @@ class JobStatus(Progress):
     devices: tuple[str, ...] = ()
     """Ids of the devices that work, or worked, on it."""
     links: JobLinks
+    curve: tuple[ErrorPoint, ...] = ()
+    """The error as it fell so far; left out of lists. Once the job is done, the receipt has all of it."""
 
 
 class JobPage(Model):
@@ -175,18 +189,6 @@ class ProgressEvent(Progress):
     state: JobState
     stop_reason: StopReason | None = None
     problem: Problem | None = None
-
-
-class ErrorPoint(Model):
-    """The error when so much had been spent."""
-
-    samples: NonNegative
-    """A pixel, on average."""
-    seconds: NonNegative
-    """Of tracing."""
-    relmse: NonNegative | None
-    relative_error: NonNegative | None
-    relative_error_interval: Interval | None = None
 
 
 class DeviceState(StrEnum):

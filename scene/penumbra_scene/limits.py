@@ -18,6 +18,8 @@ MAX_TRIANGLES: Final = 50_000_000
 MAX_KEYFRAMES: Final = 4096
 MAX_TEXTURES: Final = 1024
 MAX_MATERIALS: Final = 65536
+MAX_ALBEDO_TABLES: Final = 1024
+"""Different (kind, roughness, anisotropy, index of refraction) of rough materials: each costs some time."""
 MAX_PROTOTYPES: Final = 65536
 MAX_STEPS: Final = 64
 MAX_ERRORS: Final = 50

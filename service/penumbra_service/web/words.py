@@ -1,0 +1,89 @@
+"""Numbers and states in words, as the pages show them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Final
+
+from penumbra_scene.job import JobState, StopReason
+
+STATES: Final = {
+    JobState.QUEUED: "waiting",
+    JobState.COMPILING: "getting ready",
+    JobState.RENDERING: "rendering",
+    JobState.PAUSED: "paused",
+    JobState.FINISHING: "writing files",
+    JobState.DONE: "done",
+    JobState.FAILED: "failed",
+    JobState.CANCELLED: "cancelled",
+}
+
+REASONS: Final = {
+    StopReason.SAMPLES: "all its samples were taken",
+    StopReason.SECONDS: "its time was up",
+    StopReason.RELATIVE_ERROR: "its error was low enough",
+    StopReason.CANCELLED: "it was cancelled",
+    StopReason.FAILED: "it failed",
+}
+
+UNKNOWN: Final = "–"
+
+
+def percent(share: float | None) -> str:
+    """0.01234 -> '1.2 %'."""
+    if share is None:
+        return UNKNOWN
+    value = 100 * share
+    digits = 0 if value >= 99.5 else 1 if value >= 0.995 else 2 if value >= 0.0995 else 3
+    return f"{value:.{digits}f} %"
+
+
+def duration(seconds: float | None) -> str:
+    """75.3 -> '1 min 15 s'."""
+    if seconds is None:
+        return UNKNOWN
+    if seconds < 0.0995:
+        return f"{1000 * seconds:.0f} ms"
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    for size, unit, smaller, name in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if whole >= size:
+            rest = whole % size // smaller
+            return f"{whole // size} {unit}" + (f" {rest} {name}" if rest else "")
+    return f"{whole} s"
+
+
+def count(number: float | None) -> str:
+    """1234567 -> '1 234 567', with thin spaces; fractions of small numbers are kept."""
+    if number is None:
+        return UNKNOWN
+    if number != int(number) and number < 100:
+        return f"{number:.3g}"
+    return f"{number:,.0f}".replace(",", "\u2009")
+
+
+def size(number: int) -> str:
+    """Bytes: 3100000 -> '3.1 MB'."""
+    value = float(number)
+    for unit in ("B", "kB", "MB", "GB"):
+        if value < 999.5:
+            return f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} TB"
+
+
+def scientific(number: float | None) -> str:
+    """0.000123 -> '1.23e-04'."""
+    return UNKNOWN if number is None else f"{number:.2e}"
+
+
+def moment(when: datetime | None) -> str:
+    """In UTC, to the second."""
+    return UNKNOWN if when is None else when.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def ago(when: datetime, now: datetime) -> str:
+    """'12 s ago', 'just now'."""
+    seconds = (now - when).total_seconds()
+    return "just now" if seconds < 5 else f"{duration(seconds)} ago"
