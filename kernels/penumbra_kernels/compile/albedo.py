@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from penumbra_scene import limits
 
 from penumbra_kernels.layout import CONSTANTS
 
@@ -24,7 +25,7 @@ ROWS: Final = HEADER + 2 * NODES
 """Where a loss table's rows begin; a coat's begin right after the header."""
 
 QUADRATURE: Final = 40
-"""Nodes per dimension of the integral over visible normals: albedos to some 1e-4."""
+"""Nodes per dimension of the integral over visible normals: albedos to some 3e-4."""
 CELL_QUADRATURE: Final = 6
 """Nodes per table cell and quadrant of azimuth when a table itself is integrated."""
 COAT_SCALE: Final = 0.25
@@ -56,21 +57,23 @@ def fresnel(c: Array, eta: float) -> tuple[Array, Array]:
 def _visible_normals(wo: Array, ax: float, ay: float) -> tuple[Array, Array]:
     """Normals visible from wo (directions, 3), as (directions, nodes, 3), and their weights (nodes,).
 
-    Spherical caps (Dupuy and Benyoub 2023), over Gauss nodes in height and the midpoint rule in azimuth.
+    Spherical caps (Dupuy and Benyoub 2023), over Gauss nodes in height and the midpoint rule in azimuth, half of
+    which is enough where every wo lies in the plane y = 0.
     """
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)
     u = 0.5 * (x + 1.0)
-    phi = (np.arange(QUADRATURE) + 0.5) * (2.0 * np.pi / QUADRATURE)
+    count = QUADRATURE if wo[:, 1].any() else QUADRATURE // 2
+    phi = (np.arange(count) + 0.5) * (2.0 * np.pi / QUADRATURE)
     standard = wo * (ax, ay, 1.0)
     standard /= np.linalg.norm(standard, axis=-1, keepdims=True)
-    below = u * (1.0 + standard[:, 2:3])
+    below = u * (1.0 + standard[:, 2:3])  # 1 - z on the cap
     sine = np.sqrt(below * (2.0 - below))
-    h = np.empty((len(wo), QUADRATURE, QUADRATURE, 3))
+    h = np.empty((len(wo), QUADRATURE, count, 3))
     h[..., 0] = ax * (sine[:, :, None] * np.cos(phi) + standard[:, None, None, 0])
     h[..., 1] = ay * (sine[:, :, None] * np.sin(phi) + standard[:, None, None, 1])
     h[..., 2] = ((1.0 - u) * (1.0 + standard[:, 2:3]))[:, :, None]
     h /= np.linalg.norm(h, axis=-1, keepdims=True)
-    weights = np.repeat(0.5 * w, QUADRATURE) / QUADRATURE
+    weights = np.repeat(0.5 * w, count) / count
     return h.reshape(len(wo), -1, 3), weights
 
 
@@ -100,7 +103,7 @@ def albedo(wo: Array, ax: float, ay: float, eta: float | None) -> Albedo:
 def heights(k: float) -> Array:
     """The table's nodes: heights z with z (1 + k) / (z + k) evenly spaced in [0, 1]."""
     t = np.linspace(0.0, 1.0, NODES)
-    return t * k / (1.0 + k - t)
+    return np.minimum(t * k / (1.0 + k - t), 1.0)
 
 
 def _directions(k: float, anisotropic: bool) -> Array:
@@ -169,14 +172,14 @@ def mean_fresnel(eta: float) -> float:
     return float(z0 * z0 + (fresnel(z, eta)[0] * 2.0 * z * dz * 0.5 * w).sum())
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=limits.MAX_ALBEDO_TABLES)
 def conductor_table(ax: float, ay: float) -> Array:
     """Losses of a perfect reflector; E1 = its mean albedo."""
     missing, k = _missing(ax, ay, None)
     return _loss_table(missing, k, 0.0)[0]
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=limits.MAX_ALBEDO_TABLES)
 def sheet_table(alpha: float, ior: float) -> Array:
     """Losses of a thin sheet: a reflector's; what is given back passes as diffuse light would."""
     missing, k = _missing(alpha, alpha, None)
@@ -184,7 +187,7 @@ def sheet_table(alpha: float, ior: float) -> Array:
     return _loss_table(missing, k, 1.0 - 2.0 * mean / (1.0 + mean))[0]
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=limits.MAX_ALBEDO_TABLES)
 def dielectric_tables(ax: float, ay: float, ior: float) -> Array:
     """Losses seen from outside and from inside, one table after the other.
 
@@ -205,7 +208,7 @@ def dielectric_tables(ax: float, ay: float, ior: float) -> Array:
     return np.concatenate([_loss_table(outer, k, from_outside)[0], _loss_table(inner, k, from_inside)[0]])
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=limits.MAX_ALBEDO_TABLES)
 def coat_table(ax: float, ay: float, ior: float, compensate: bool) -> Array:
     """What a dielectric coat lets pass: all that it does not reflect, or, not compensated, what Fresnel lets
     pass, so that light lost between microfacets stays lost. A perfectly smooth coat has only its mean."""

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from penumbra_scene import limits
 from penumbra_scene.materials import (
     Color,
     Conductor,
@@ -50,6 +51,10 @@ def alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
     if along < ALPHA_MIN:
         return 0.0, 0.0
     return float(np.float32(along)), float(np.float32(max((1.0 - anisotropy) * along, ALPHA_MIN)))
+
+
+class MaterialError(ValueError):
+    """A scene's materials are more than can be prepared; the message says how many are accepted."""
 
 
 def _color(
@@ -149,7 +154,10 @@ def _tables(materials: NDArray[Any]) -> Iterator[tuple[int, tuple[float, ...], N
 
 
 def compile_materials(scene: Scene, texture_index: dict[str, int]) -> tuple[NDArray[Any], dict[str, int]]:
-    """(MATERIAL records, name -> index). Records 0 and 1 are DEFAULT_MATERIAL and BLACK_MATERIAL."""
+    """(MATERIAL records, name -> index). Records 0 and 1 are DEFAULT_MATERIAL and BLACK_MATERIAL.
+
+    Raises MaterialError where they need more than limits.MAX_ALBEDO_TABLES tables.
+    """
     default = _blank("diffuse")
     default["color0"] = DEFAULT_GRAY
     records = [default, _blank("black")]
@@ -158,14 +166,23 @@ def compile_materials(scene: Scene, texture_index: dict[str, int]) -> tuple[NDAr
         index[name] = len(records)
         records.append(_record(scene, material, texture_index))
     materials = np.array(records, MATERIAL)
+    _place_tables(materials)
+    return materials, index
+
+
+def _place_tables(materials: NDArray[Any]) -> None:
     places: dict[tuple[float, ...], int] = {}
     size = 0
     for i, key, table in _tables(materials):
         if key not in places:
             places[key] = size
             size += len(table)
+        if len(places) > limits.MAX_ALBEDO_TABLES:
+            raise MaterialError(
+                f"/materials: more than {limits.MAX_ALBEDO_TABLES} rough materials that differ in roughness, "
+                "anisotropy or ior; accepted are as many: round them, or set energy_compensation to false"
+            )
         materials["albedo"][i] = places[key]
-    return materials, index
 
 
 def compile_albedo_table(materials: NDArray[Any]) -> NDArray[np.float32]:

@@ -104,6 +104,7 @@ def test_white_materials_are_white_in_a_furnace(bench: Any, name: str, cosine: f
 
 NO_GAIN: dict[str, dict[str, Any]] = {
     "phong 0": {"type": "phong", "base_color": 0.4, "specular_color": 0.6, "exponent": 0},
+    "phong, asking for more": {"type": "phong", "base_color": 0.8, "specular_color": 0.9, "exponent": 9},
     "phong 20": {"type": "phong", "base_color": 0, "specular_color": 1, "exponent": 20},
     "metal": {"type": "conductor", "base_color": 0.9, "roughness": 0.9},
     "metal, constant": {"type": "conductor", "base_color": 0.9, "roughness": 0.9, "fresnel": False},
