@@ -237,7 +237,7 @@ def test_draws_of_one_sample_are_stratified_with_those_of_the_others(
 
 @pytest.mark.parametrize("name", STOCHASTIC)
 def test_neighbours_in_every_key_are_uncorrelated(samplers: Any, name: str) -> None:
-    """HARD_CASES 42: pixel, replicate, seed, dimension; and the two coordinates of a point."""
+    """Pixel, replicate, seed, dimension; and the two coordinates of a point."""
     draw = samplers(name)
     x, y = np.meshgrid(np.arange(256), np.arange(256))
     base = draw(2, bounce(0, 3), 5, x, y, 1, seed=7, strata=16, film=256)
@@ -258,7 +258,7 @@ def test_neighbours_in_every_key_are_uncorrelated(samplers: Any, name: str) -> N
 
 @pytest.mark.parametrize("name", ["independent", "jittered", "sobol", "blue_noise"])
 def test_indices_and_pixels_do_not_wrap(samplers: Any, name: str) -> None:
-    """HARD_CASES 41: 64-bit indices, pictures of 32768 pixels a side."""
+    """64-bit indices, pictures of 32768 pixels a side."""
     draw = samplers(name)
     index = np.array([0, 1, 2**32 - 1, 2**32, 2**32 + 1, 3840 * 2160 * 1024, 2**40, 2**62], np.uint64)
     points = draw(2, LENS, index, film=32768)
@@ -288,7 +288,7 @@ INTEGRANDS: dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @pytest.mark.parametrize("name", STOCHASTIC)
 def test_spread_of_replicates_is_the_variance_of_their_mean(samplers: Any, name: str) -> None:
-    """HARD_CASES 44: pooled estimated / true variance within 0.9-1.1 in 1, 2 and 8 dimensions."""
+    """Pooled estimated / true variance within 0.9-1.1 in 1, 2 and 8 dimensions."""
     pixels, replicates, count = 6000, 4, 8
     i, r, x = np.meshgrid(np.arange(count), np.arange(replicates), np.arange(pixels), indexing="ij")
     points = eight_dimensions(samplers(name), i, x, r, strata=count, film=8192)
@@ -328,7 +328,7 @@ def test_any_number_of_samples_is_unbiased(samplers: Any, name: str, count: int)
 
 @pytest.mark.parametrize("name", ["jittered", "sobol", "blue_noise"])
 def test_a_product_over_far_dimensions_has_its_mean(samplers: Any, name: str) -> None:
-    """HARD_CASES 43: no dimension is the last, and no two are the same."""
+    """No dimension is the last, and no two are the same."""
     draw = samplers(name)
     x, i = np.meshgrid(np.arange(4000), np.arange(16))
     value = np.ones(x.shape)
