@@ -1,4 +1,4 @@
-"""The documents say what is there: links lead somewhere, commands and targets exist, all statuses are told."""
+"""The documents say what is there: links lead somewhere, commands exist, all exit statuses are told."""
 
 from __future__ import annotations
 
