@@ -37,11 +37,11 @@ def job_links(job_id: str) -> JobLinks:
     )
 
 
-def job_status(row: JobRow) -> JobStatus:
-    """The job as the API shows it."""
+def job_status(row: JobRow, *, curve: bool = False) -> JobStatus:
+    """The job as the API shows it; with `curve`, also how its error fell so far, which lists leave out."""
     return JobStatus.model_validate(
         {
-            **row.progress,
+            **{key: value for key, value in row.progress.items() if curve or key != "curve"},
             "id": row.id,
             "name": row.name,
             "state": row.state,

@@ -121,7 +121,7 @@ def _job_before(cursor: str | None) -> str | None:
 @router.get("/jobs/{job_id}", responses=_ON_JOB)
 def get_job(request: Request, job_id: str) -> JobStatus:
     """How a job stands."""
-    return job_status(service_of(request).jobs.get(job_id))
+    return job_status(service_of(request).jobs.get(job_id), curve=True)
 
 
 @router.patch("/jobs/{job_id}", responses=_ON_JOB)

@@ -11,7 +11,8 @@ from penumbra_scene.job import ErrorPoint, JobState, JobStatus
 from penumbra_scene.receipt import Receipt
 from pydantic import ValidationError
 
-from penumbra_service.service import RECEIPT, RenderService
+from penumbra_service.results import RECEIPT
+from penumbra_service.service import RenderService
 from penumbra_service.status import job_status
 from penumbra_service.store.artifacts import NoSuchArtifactError
 from penumbra_service.store.jobs import JobRow
@@ -51,9 +52,9 @@ class JobPageView:
     """Headings, each with names and values."""
 
 
-def view_of(row: JobRow, now: datetime | None = None) -> JobView:
+def view_of(row: JobRow, *, curve: bool = False) -> JobView:
     """A job's view from its row in the ledger."""
-    status = job_status(row)
+    status = job_status(row, curve=curve)
     return JobView(
         status=status,
         state=words.STATES[status.state],
@@ -61,7 +62,7 @@ def view_of(row: JobRow, now: datetime | None = None) -> JobView:
         percent=round(100 * status.progress),
         facts=_facts(status),
         summary=_summary(status),
-        created=words.ago(status.created, now or datetime.now(UTC)),
+        created=words.ago(status.created, datetime.now(UTC)),
         can_cancel=not status.state.ended,
         can_pause=status.state in (JobState.QUEUED, JobState.COMPILING, JobState.RENDERING),
         can_resume=status.state is JobState.PAUSED,
@@ -129,7 +130,7 @@ def _stop(status: JobStatus) -> str:
 
 def page_of(service: RenderService, row: JobRow) -> JobPageView:
     """A job's page, with its receipt if there is one."""
-    job = view_of(row)
+    job = view_of(row, curve=True)
     receipt = read_receipt(service, row.id)
     points: Sequence[ErrorPoint] = receipt.error.curve if receipt is not None else job.status.curve
     theta = None if job.ended else job.status.theta

@@ -112,7 +112,7 @@ def _bounds(point: ErrorPoint) -> list[float]:
 
 
 def _forecast_end(x: float, error: float, target: float | None, theta: float | None) -> float | None:
-    """Where the error, falling on as it fell, meets the target. Seconds rise with samples: one law for both."""
+    """Where the error, falling on as it fell, meets the target; seconds rise as samples do."""
     if target is None or theta is None or theta <= 0 or error <= target:
         return None
     return float(x * (error / target) ** (2.0 / theta))
