@@ -1,4 +1,4 @@
-"""`python -m penumbra_service` serves with the settings of the environment; `penumbra serve` has flags for them."""
+"""`python -m penumbra_service` serves with the settings of the environment; `penumbra serve` has flags."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from penumbra_service.settings import SettingsError
 
 
 def main() -> int:
-    """The exit code: 0 after a regular end, 2 for settings that cannot be used."""
+    """The exit status: 0 after a regular end, 2 for settings that cannot be used."""
     try:
-        run()
-    except SettingsError as error:
+        return run()
+    except (SettingsError, OSError) as error:
         print(f"penumbra_service: {error}", file=sys.stderr)
         return 2
-    return 0
 
 
 if __name__ == "__main__":

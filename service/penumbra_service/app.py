@@ -14,7 +14,8 @@ from starlette.concurrency import run_in_threadpool
 from penumbra_service.api import assets, events, jobs, openapi, problems, results, system
 from penumbra_service.api.guard import Guard
 from penumbra_service.api.metrics import CountRequests, Metrics
-from penumbra_service.service import RenderService, Runner
+from penumbra_service.running import Runner
+from penumbra_service.service import RenderService
 from penumbra_service.settings import Settings, SettingsError
 
 _DESCRIPTION: Final = (

@@ -7,31 +7,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import uvicorn
-
-from penumbra_service.app import create_app
 from penumbra_service.settings import Settings, load_settings
 from penumbra_service.store.database import Database
 from penumbra_service.store.keys import ApiKey, KeyStore
 
 
-def run(host: str | None = None, port: int | None = None, data: Path | None = None, **settings: Any) -> None:
-    """Serves until SIGINT or SIGTERM; the running job's snapshot is written before it returns.
+def run(host: str | None = None, port: int | None = None, data: Path | None = None, **settings: Any) -> int:
+    """Serves until SIGINT or SIGTERM; the running job's snapshot is written before it returns the exit status.
 
-    Arguments are settings (penumbra_service.settings); None leaves one to its environment variable or default.
-    Raises SettingsError, PublicWithoutKeyError; SystemExit where the port is taken.
+    Arguments are settings (penumbra_service.settings); None leaves one to the environment or its default.
+    Raises SettingsError, PublicWithoutKeyError, and OSError where the address cannot be had.
     """
-    chosen = load_settings({"host": host, "port": port, "data": data, **settings})
-    config = uvicorn.Config(
-        create_app(chosen),
-        host=chosen.host,
-        port=chosen.port,
-        log_level=chosen.log_level,
-        access_log=chosen.log_level == "debug",
-        server_header=False,
-        timeout_graceful_shutdown=5,
-    )
-    uvicorn.Server(config).run()
+    from penumbra_service.serving import serve
+
+    return serve(load_settings({"host": host, "port": port, "data": data, **settings}))
 
 
 def create_key(name: str, data: Path | None = None, **settings: Any) -> tuple[str, ApiKey]:

@@ -9,20 +9,21 @@ asking the runner to stop: it leaves a snapshot, from which the job can go on la
 from __future__ import annotations
 
 import logging
+import shutil
 import threading
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from penumbra_scene.errors import Problem, make_problem
-from penumbra_scene.job import DeviceStatus, JobRequest, JobState, StopReason
+from penumbra_scene.job import JobRequest, JobState, StopReason
 from penumbra_scene.parse import parse_job
 
+from penumbra_service import results
 from penumbra_service.images.assets import FolderAssets
 from penumbra_service.images.limits import DecodeLimits
+from penumbra_service.running import Control, Halt, Outcome, Runner, Task
 from penumbra_service.settings import Settings
 from penumbra_service.status import initial_progress
 from penumbra_service.store.artifacts import Artifacts
@@ -39,82 +40,6 @@ ACTIVE: Final = (JobState.COMPILING, JobState.RENDERING, JobState.FINISHING)
 WAITING: Final = (JobState.QUEUED,)
 OPEN: Final = (*WAITING, *ACTIVE, JobState.PAUSED)
 """States that are no end."""
-
-RESULT: Final = "result.exr"
-THUMBNAIL: Final = "thumbnail.png"
-HEATMAP: Final = "heatmap.png"
-RECEIPT: Final = "receipt.json"
-
-
-class Halt(StrEnum):
-    """Why a runner is asked to stop early."""
-
-    CANCEL = "cancel"
-    PAUSE = "pause"
-    YIELD = "yield"
-    """A more urgent job waits."""
-    SHUTDOWN = "shutdown"
-
-
-class Control:
-    """How a runner learns that it shall stop. Any thread may ask; the first reason stays, but for CANCEL."""
-
-    def __init__(self) -> None:
-        self._event = threading.Event()
-        self._reason: Halt | None = None
-
-    def halt(self, reason: Halt) -> None:
-        if self._reason is None or reason is Halt.CANCEL:
-            self._reason = reason
-        self._event.set()
-
-    @property
-    def reason(self) -> Halt | None:
-        return self._reason
-
-    def wait(self, seconds: float) -> bool:
-        """Sleeps; True as soon as a stop is asked for."""
-        return self._event.wait(seconds)
-
-
-@dataclass(frozen=True)
-class Task:
-    """A job for a runner."""
-
-    job_id: str
-    request: JobRequest
-    folder: Path
-    """The job's own: snapshots from before may lie in it, and results are to be left in it under their
-    names."""
-    created: datetime
-    started: datetime
-    control: Control
-    report: Callable[[JobState, Mapping[str, Any]], None]
-    """Called with a state and fields of penumbra_scene.job.Progress (or `devices`) whenever there is news."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended. Neither: it was halted, and a snapshot lies in the folder."""
-
-    stop_reason: StopReason | None = None
-    problem: Problem | None = None
-
-
-class Runner(Protocol):
-    """Renders one job at a time on the devices that it owns."""
-
-    def start(self) -> None:
-        """Gets ready; devices may still be starting when it returns."""
-
-    def run(self, task: Task) -> Outcome:
-        """Blocks until the job has ended or `task.control` asked for a stop. Goes on from a snapshot, if
-        any."""
-
-    def devices(self) -> list[DeviceStatus]: ...
-
-    def stop(self) -> None:
-        """Ends every process that it started."""
 
 
 class ConflictError(Exception):
@@ -183,6 +108,8 @@ class RenderService:
             if row.state != JobState.CANCELLED:
                 raise ConflictError(row, "cancel", "queued, running or paused")
         self._halt(job_id, Halt.CANCEL)
+        if not self._has(job_id):
+            self._clean(job_id)
         self._changed(row)
         return row
 
@@ -243,6 +170,11 @@ class RenderService:
             if self._running is not None and self._running[0].id == job_id:
                 self._running[1].halt(reason)
 
+    def _has(self, job_id: str) -> bool:
+        """Whether the runner has this job."""
+        with self._wake:
+            return self._running is not None and self._running[0].id == job_id
+
     def _work(self) -> None:
         while (taken := self._take()) is not None:
             row, control = taken
@@ -270,41 +202,54 @@ class RenderService:
 
     def _run(self, row: JobRow, control: Control) -> None:
         self.watchers.ring(row.id)
-        folder = self.settings.work_folder / row.id
+        folder = self.work_folder(row.id)
         folder.mkdir(parents=True, exist_ok=True)
         task = Task(
             row.id,
             self.request(row.id),
             folder,
+            row.priority,
             row.created,
             row.started or row.created,
             control,
-            lambda state, news: self._report(row.id, folder, state, news),
+            report=lambda state, news: self._report(row.id, state, news),
+            show=lambda: self._show(row.id),
         )
         outcome = self.runner.run(task)
-        if outcome.stop_reason is not None or outcome.problem is not None:
-            self._publish(row.id, folder)
+        if outcome.final:
+            self._publish(row.id, results.ALL)
             self._end(row.id, outcome)
         elif self.jobs.move(row.id, ACTIVE, JobState.QUEUED) is not None:
             self.watchers.ring(row.id)
+        self._clean(row.id)
 
-    def _report(self, job_id: str, folder: Path, state: JobState, news: Mapping[str, Any]) -> None:
+    def work_folder(self, job_id: str) -> Path:
+        """Where a job keeps snapshots and unfinished files."""
+        return self.settings.work_folder / job_id
+
+    def _clean(self, job_id: str) -> None:
+        """A job that has ended needs no snapshots."""
+        if JobState(self.jobs.get(job_id).state).ended:
+            shutil.rmtree(self.work_folder(job_id), ignore_errors=True)
+
+    def _report(self, job_id: str, state: JobState, news: Mapping[str, Any]) -> None:
+        # A job that was paused or cancelled in the meantime is not touched.
         row = self.jobs.get(job_id)
-        if row.state not in ACTIVE:
-            return  # paused or cancelled in the meantime: the runner just does not know yet
-        if news.get("thumbnail_revision", 0) > row.progress.get("thumbnail_revision", 0):
-            self._publish_one(job_id, folder, THUMBNAIL)
-            self._publish_one(job_id, folder, HEATMAP)
-        self.jobs.move(job_id, ACTIVE, state, progress={**row.progress, **news})
+        if self.jobs.move(job_id, ACTIVE, state, progress={**row.progress, **news}) is not None:
+            self.watchers.ring(job_id)
+
+    def _show(self, job_id: str) -> None:
+        self._publish(job_id, (results.THUMBNAIL, results.HEATMAP))
+        row = self.jobs.get(job_id)
+        revision = row.progress.get("thumbnail_revision", 0) + 1
+        self.jobs.set(job_id, progress={**row.progress, "thumbnail_revision": revision})
         self.watchers.ring(job_id)
 
-    def _publish(self, job_id: str, folder: Path) -> None:
-        for name in (RESULT, THUMBNAIL, HEATMAP, RECEIPT):
-            self._publish_one(job_id, folder, name)
-
-    def _publish_one(self, job_id: str, folder: Path, name: str) -> None:
-        if (folder / name).is_file():
-            self.artifacts.put(job_id, name, folder / name)
+    def _publish(self, job_id: str, names: Iterable[str]) -> None:
+        for name in names:
+            path = self.work_folder(job_id) / name
+            if path.is_file():
+                self.artifacts.put(job_id, name, path)
 
     def _end(self, job_id: str, outcome: Outcome) -> None:
         row = self.jobs.get(job_id)
@@ -314,7 +259,11 @@ class RenderService:
         if outcome.problem is not None:
             progress["problem"] = outcome.problem.model_dump(mode="json")
         else:
-            progress |= {"progress": 1.0, "predicted_seconds": None}
+            progress |= {
+                "progress": 1.0,
+                "predicted_seconds": None,
+                "thumbnail_revision": progress.get("thumbnail_revision", 0) + 1,
+            }
         state = JobState.FAILED if failed else JobState.DONE
         now = datetime.now(UTC)
         # a job that was paused while its last files were written is done nevertheless

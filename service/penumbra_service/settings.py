@@ -44,7 +44,7 @@ class Settings:
     hosts: tuple[str, ...] = ()
     """Further names under which browsers may reach the service (commas between them); '*' for any."""
     devices: str = ""
-    """Which OpenCL devices work: identifiers or indices with commas, as `penumbra devices` lists them;
+    """Which OpenCL devices work: identifiers with commas, as `penumbra devices` lists them;
     empty: all."""
     max_body_bytes: int = limits.MAX_BODY_BYTES
     """Largest JSON body."""

@@ -10,7 +10,8 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api.jobs import service_of
-from penumbra_service.service import HEATMAP, RECEIPT, RESULT, THUMBNAIL, RenderService
+from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
+from penumbra_service.service import RenderService
 from penumbra_service.store.artifacts import NoSuchArtifactError
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])

@@ -92,10 +92,11 @@ def ready(request: Request) -> dict[str, Any]:
 def _health(service: RenderService) -> Health:
     states = Counter(device.state.value for device in service.runner.devices())
     detail = []
-    if not states:
-        detail.append("there is no OpenCL device, so jobs wait")
-    elif not any(states[s] for s in (DeviceState.IDLE, DeviceState.BUSY, DeviceState.STARTING)):
-        detail.append("every OpenCL device is lost, so jobs wait")
+    problem = service.runner.problem
+    if problem is not None:
+        detail.append(problem)
+    elif states and not any(states[s] for s in (DeviceState.IDLE, DeviceState.BUSY, DeviceState.STARTING)):
+        detail.append("every OpenCL device is lost, so jobs fail")
     return Health(
         status="degraded" if detail else "ok",
         version=VERSION,

@@ -14,7 +14,9 @@ from fastapi.testclient import TestClient
 from penumbra_scene.errors import make_problem
 from penumbra_scene.job import DeviceState, DeviceStatus, JobState, StopReason
 from penumbra_service.app import create_app
-from penumbra_service.service import HEATMAP, RECEIPT, RESULT, THUMBNAIL, Outcome, RenderService, Task
+from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
+from penumbra_service.running import Outcome, Task
+from penumbra_service.service import RenderService
 from penumbra_service.settings import Settings
 
 SCENE: dict[str, Any] = {
@@ -38,6 +40,7 @@ class FakeRunner:
         self.fail = False
         self.raise_error = False
         self.stopped = False
+        self.problem: str | None = None
 
     def let(self, steps: int = STEPS) -> None:
         for _ in range(steps):
@@ -74,8 +77,9 @@ class FakeRunner:
             (task.folder / HEATMAP).write_bytes(b"map %d" % done)
             task.report(
                 JobState.RENDERING,
-                {"progress": done / self.STEPS, "thumbnail_revision": done, "samples_done": 4.0 * done},
+                {"progress": done / self.STEPS, "samples_done": 4.0 * done},
             )
+            task.show()
         if self.fail:
             return Outcome(problem=make_problem("kernel", "The kernel does not build", 500, "line 1: no"))
         (task.folder / RESULT).write_bytes(b"exr" * 1000)

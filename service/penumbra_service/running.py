@@ -1,0 +1,109 @@
+"""Between the service and whoever renders: a task, how to stop it, how it ended."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Protocol
+
+from penumbra_scene.errors import Problem
+from penumbra_scene.job import DeviceStatus, JobRequest, JobState, StopReason
+
+
+class Halt(StrEnum):
+    """Why a runner is asked to stop early."""
+
+    CANCEL = "cancel"
+    PAUSE = "pause"
+    YIELD = "yield"
+    """A more urgent job waits."""
+    SHUTDOWN = "shutdown"
+
+
+class Control:
+    """How a runner learns that it shall stop. Any thread may ask; CANCEL outweighs the other reasons."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._reason: Halt | None = None
+        self._told: list[Callable[[Halt], None]] = []
+
+    def halt(self, reason: Halt) -> None:
+        """Ask for a stop."""
+        with self._lock:
+            if self._reason is not None and reason is not Halt.CANCEL:
+                return
+            self._reason = reason
+            told = list(self._told)
+        for tell in told:
+            tell(reason)
+
+    def when_halted(self, tell: Callable[[Halt], None]) -> None:
+        """Have `tell` called with every reason, at once if there is one already; in the thread that asks."""
+        with self._lock:
+            self._told.append(tell)
+            reason = self._reason
+        if reason is not None:
+            tell(reason)
+
+    @property
+    def reason(self) -> Halt | None:
+        """The weightiest reason so far."""
+        return self._reason
+
+
+@dataclass(frozen=True)
+class Task:
+    """A job for a runner."""
+
+    job_id: str
+    request: JobRequest
+    folder: Path
+    """The job's own: snapshots from before may lie in it; results are left in it under the names of
+    `results`."""
+    priority: int
+    created: datetime
+    started: datetime
+    control: Control
+    report: Callable[[JobState, Mapping[str, Any]], None]
+    """Called with a state and fields of penumbra_scene.job.Progress (or `devices`) whenever there is news."""
+    show: Callable[[], None]
+    """Called when there are a new thumbnail and noise map in the folder."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended. Neither: it was halted, and a snapshot lies in the folder."""
+
+    stop_reason: StopReason | None = None
+    problem: Problem | None = None
+
+    @property
+    def final(self) -> bool:
+        """Whether the job has ended with it."""
+        return self.stop_reason is not None or self.problem is not None
+
+
+class Runner(Protocol):
+    """Renders one job at a time on the devices that it owns."""
+
+    def start(self) -> None:
+        """Gets ready; devices may still be starting when it returns."""
+
+    def stop(self) -> None:
+        """Ends every process that it started."""
+
+    def run(self, task: Task) -> Outcome:
+        """Blocks until the job has ended or `task.control` asked for a stop. Goes on from a snapshot, if
+        any."""
+
+    def devices(self) -> list[DeviceStatus]:
+        """Every device as it stands."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why nothing can be rendered, if so."""
