@@ -1,8 +1,8 @@
 """What is known of one tile: the maximal sum nodes received so far, merged as soon as siblings meet.
 
 Any order of arrival and any split into nodes ends in the same nodes, hence the same bits
-(penumbra_kernels.nodes). A barrier keeps samples that may yet be dropped apart from those that count: no node
-ever reaches across it.
+(penumbra_kernels.nodes). Barriers are the sample counts at which a render may yet end: no node ever reaches
+across one, so that what lies beyond can be dropped.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class TileAccumulator:
         self.tile = tile
         self.replicates = replicates
         self.nodes: list[SumNode] = []
-        self.barrier = 0
-        """Samples [0, barrier) are decided to count; nodes on its two sides are not merged."""
+        self.barriers: tuple[int, ...] = ()
+        """Nodes on the two sides of one are not merged."""
         for node in nodes or []:
             self._check(node)
             self._insert(node)
@@ -43,20 +43,21 @@ class TileAccumulator:
 
     def add(self, node: SumNode) -> bool:
         """Take a node in; False where all of its samples were here already. Raises ValueError for one that
-        does not belong to this tile, has another number of replicates, or reaches across the barrier."""
+        does not belong to this tile, has another number of replicates, or reaches across a barrier."""
         self._check(node)
-        if node.first_sample < self.barrier < node.end:
-            raise ValueError(
-                f"samples [{node.first_sample}, {node.end}) reach across the barrier at {self.barrier}"
-            )
+        for barrier in self.barriers:
+            if node.first_sample < barrier < node.end:
+                raise ValueError(
+                    f"samples [{node.first_sample}, {node.end}) reach across the barrier at {barrier}"
+                )
         inserted = self._insert(node)
         if inserted:
             self._merge_all()
         return inserted
 
-    def raise_barrier(self, barrier: int) -> None:
-        """Decide that all samples below `barrier` count, and merge what this allows."""
-        self.barrier = max(self.barrier, barrier)
+    def set_barriers(self, barriers: tuple[int, ...]) -> None:
+        """Take others from now on, and merge what they allow."""
+        self.barriers = barriers
         self._merge_all()
 
     def crosses(self, sample: int) -> bool:
@@ -119,7 +120,7 @@ class TileAccumulator:
     def _may_merge(self, left: SumNode, right: SumNode) -> bool:
         if not siblings(left, right):
             return False
-        return bool(right.end <= self.barrier or left.first_sample >= self.barrier)
+        return not any(left.first_sample < barrier < right.end for barrier in self.barriers)
 
 
 def _sum_of(parts: list[NDArray[Any]], shape: tuple[int, int, int]) -> NDArray[Any]:

@@ -42,7 +42,7 @@ class Film:
         self.grid = grid
         self.replicates = replicates
         self.deterministic = deterministic
-        self.barrier = 0
+        self.barriers: tuple[int, ...] = ()
         self._store = store
         self._key = key
         self._memory_limit = memory_limit
@@ -64,11 +64,10 @@ class Film:
         """Bytes of tiles in memory."""
         return self._bytes
 
-    def restore(self, barrier: int) -> None:
-        """Read the store's tiles back, as a snapshot or a crash left them. `barrier`: samples below it are
-        decided to count. Files that are broken, of another render, or reach across the barrier are
-        deleted."""
-        self.barrier = barrier
+    def restore(self, barriers: tuple[int, ...]) -> None:
+        """Read the store's tiles back, as a snapshot or a crash left them. Files that are broken, of another
+        render, or reach across a barrier are deleted: their tiles start again."""
+        self.barriers = barriers
         names = set(self._store.names())
         for tile in self._tiles:
             name = tile_name(tile)
@@ -92,9 +91,14 @@ class Film:
         self._evict(node.tile)
         return added
 
-    def raise_barrier(self, barrier: int) -> None:
-        """Decide that samples below `barrier` count; tiles merge across it when they are next used."""
-        self.barrier = max(self.barrier, barrier)
+    def set_barriers(self, barriers: tuple[int, ...]) -> None:
+        """Samples a replicate at which the render may yet end. Tiles merge across former ones when next
+        used."""
+        self.barriers = barriers
+
+    def ranges(self, tile: Tile) -> list[tuple[int, int]]:
+        """(first sample, count) of the nodes that the tile holds."""
+        return self._ranges.get(tile, [])
 
     def missing(self, tile: Tile, first: int, end: int) -> list[tuple[int, int]]:
         """Aligned ranges (first, count) of samples in [first, end) that the tile lacks."""
@@ -155,10 +159,11 @@ class Film:
                 accumulator = TileAccumulator(tile, self.replicates)
             self._keep(accumulator)
         self._resident.move_to_end(tile)
-        if accumulator.barrier < self.barrier:
-            before = accumulator.nbytes
-            accumulator.raise_barrier(self.barrier)
-            self._changed(accumulator, before)
+        if accumulator.barriers != self.barriers:
+            before, ranges = accumulator.nbytes, accumulator.ranges
+            accumulator.set_barriers(self.barriers)
+            if accumulator.ranges != ranges:
+                self._changed(accumulator, before)
         return accumulator
 
     def _read(self, tile: Tile) -> TileAccumulator | None:
@@ -166,7 +171,7 @@ class Film:
         if data is None:
             return None
         accumulator = decode(data, tile, self.replicates, self._key)
-        if accumulator is None or accumulator.barrier > self.barrier or accumulator.crosses(self.barrier):
+        if accumulator is None or any(accumulator.crosses(barrier) for barrier in self.barriers):
             return None
         return accumulator
 

@@ -34,6 +34,7 @@ class Point:
     upper: float
     """relmse with its allowance, which the stop rule compares."""
     deviation: float = 0.0
+    mse: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,6 @@ def encode(accumulator: TileAccumulator, key: str) -> bytes:
         "key": key,
         "tile": [tile.x, tile.y, tile.width, tile.height],
         "replicates": accumulator.replicates,
-        "barrier": accumulator.barrier,
         "nodes": [[n.first_sample, n.sample_count, n.layers is not None] for n in accumulator.nodes],
     }
     text = json.dumps(header).encode()
@@ -147,9 +146,7 @@ def _decode(data: bytes, tile: Tile, replicates: int, key: str) -> TileAccumulat
         nodes.append(SumNode(tile, first, count, sums, layers))
     if at != len(data) - 4 or header["replicates"] != replicates:
         return None
-    accumulator = TileAccumulator(tile, replicates, nodes)
-    accumulator.barrier = int(header["barrier"])
-    return accumulator
+    return TileAccumulator(tile, replicates, nodes)
 
 
 def _array(

@@ -27,7 +27,6 @@ def test_every_split_and_order_of_a_range_gives_the_same_bits(samples):  # type:
     rng = np.random.default_rng(7)
     for split in _splits(0, 8):
         tile = TileAccumulator(TILE, 2)
-        tile.raise_barrier(8)
         for first, count in rng.permutation(split):
             assert tile.add(made.node(TILE, int(first), int(count)))
         assert tile.ranges == [(0, 8)]
@@ -40,7 +39,6 @@ def test_fold_of_an_unaligned_end_does_not_depend_on_order(samples):  # type: ig
     for seed in range(5):
         rng = np.random.default_rng(seed)
         tile = TileAccumulator(TILE, 2)
-        tile.raise_barrier(13)
         for index in rng.permutation(13):
             tile.add(made.node(TILE, int(index), 1))
         assert tile.ranges == aligned_ranges(0, 13)
@@ -80,17 +78,17 @@ def test_a_node_that_encloses_others_takes_their_place(samples):  # type: ignore
     assert tile.nodes[0].sums.tobytes() == made.node(TILE, 4, 4).sums.tobytes()
 
 
-def test_nothing_merges_across_the_barrier_until_it_is_raised(samples):  # type: ignore[no-untyped-def]
+def test_nothing_merges_across_a_barrier_until_it_is_lifted(samples):  # type: ignore[no-untyped-def]
     made = samples(replicates=2)
     tile = TileAccumulator(TILE, 2)
-    tile.raise_barrier(6)
+    tile.set_barriers((4, 6))
     for index in range(8):
         tile.add(made.node(TILE, index, 1))
     assert tile.ranges == [(0, 4), (4, 2), (6, 2)]
     before = tile.fold(6)[0].tobytes()
     alone = TileAccumulator(TILE, 2, [made.node(TILE, 0, 4), made.node(TILE, 4, 2)])
     assert alone.fold(6)[0].tobytes() == before
-    tile.raise_barrier(8)
+    tile.set_barriers((8,))
     assert tile.ranges == [(0, 8)]
     assert tile.nodes[0].sums.tobytes() == made.node(TILE, 0, 8).sums.tobytes()
 
@@ -105,7 +103,7 @@ def test_missing_samples_and_foreign_nodes_are_refused(samples):  # type: ignore
         tile.add(made.node(Tile(0, 0, 3, 2), 2, 1))
     with pytest.raises(ValueError, match="shape"):
         tile.add(samples(replicates=4).node(TILE, 2, 1))
-    tile.raise_barrier(6)
+    tile.set_barriers((6,))
     with pytest.raises(ValueError, match="barrier at 6"):
         tile.add(made.node(TILE, 4, 4))
 
@@ -113,7 +111,6 @@ def test_missing_samples_and_foreign_nodes_are_refused(samples):  # type: ignore
 def test_sums_beyond_256_samples_are_float64(samples):  # type: ignore[no-untyped-def]
     made = samples(replicates=1)
     tile = TileAccumulator(Tile(0, 0, 1, 1), 1)
-    tile.raise_barrier(512)
     for first in (256, 0):
         tile.add(made.node(Tile(0, 0, 1, 1), first, 256))
     assert tile.nodes[0].sums.dtype == SUM64

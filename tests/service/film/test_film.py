@@ -116,7 +116,7 @@ def test_a_restart_from_a_snapshot_goes_on_with_the_same_bits(samples, tmp_path)
     assert film.flush() == 0
     film.add(made.node(film.tiles[1], 0, 4))  # lost: it came after the snapshot
     again = _film(store=FolderTileStore(tmp_path))
-    again.restore(0)
+    again.restore(())
     assert again.missing(again.tiles[0], 0, END) == [(4, 2)]
     assert again.missing(again.tiles[1], 0, END) == [(0, 4), (4, 2)]
     for tile in again.tiles:
@@ -143,7 +143,7 @@ def test_a_broken_file_only_restarts_its_tile(samples, tmp_path, damage):  # typ
         }[damage]
     )
     again = _film(store=FolderTileStore(tmp_path))
-    again.restore(0)
+    again.restore(())
     assert again.missing(again.tiles[0], 0, END) == [(0, 4), (4, 2)]
     assert all(again.complete(tile, END) for tile in again.tiles[1:])
 
@@ -164,14 +164,14 @@ def test_a_file_that_breaks_while_evicted_is_reported_as_lost(samples, tmp_path)
 def test_a_snapshot_that_reaches_across_an_undecided_check_is_not_used(samples, tmp_path):  # type: ignore[no-untyped-def]
     made = samples(replicates=4)
     film = _film(store=FolderTileStore(tmp_path))
-    film.raise_barrier(6)
+    film.set_barriers((6,))
     for index in range(8):
         film.add(made.node(film.tiles[0], index, 1))
-    film.raise_barrier(8)
+    film.set_barriers((8,))
     film.accumulator(film.tiles[0])
     film.flush()
     again = _film(store=FolderTileStore(tmp_path))
-    again.restore(6)
+    again.restore((6,))
     assert again.missing(again.tiles[0], 0, 8) == [(0, 8)]
 
 

@@ -184,7 +184,7 @@ def test_t_interval_covers(replicates):  # type: ignore[no-untyped-def]
     n = 128
     pixels = _stats(_sums(rng.standard_normal((replicates, n, n)) + 5))
     low, high = interval(pixels)
-    covered = ((low <= 5) & (5 <= high))[..., 0].mean()
+    covered = ((low <= 5) & (high >= 5))[..., 0].mean()
     assert abs(covered - 0.95) < SIX_SIGMA * math.sqrt(0.95 * 0.05 / n**2)
 
 

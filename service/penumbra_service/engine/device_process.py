@@ -1,0 +1,209 @@
+"""The process that drives one OpenCL device: `python -m penumbra_service.engine.device_process --device ID
+--fd N`.
+
+It reads leases from an inherited socket, in order, and answers each with its sum nodes. It keeps the scenes
+that it used last. It ends with its parent: at the socket's end, or by the kernel's death signal where it is
+deep in a driver. With `--list` it prints the machine's devices as JSON instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import os
+import resource
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from typing import Final, Protocol
+
+from penumbra_kernels.nodes import SumNode, Tile
+
+from penumbra_service.engine.protocol import (
+    DeviceDescription,
+    FromDevice,
+    Heartbeat,
+    Hello,
+    Lease,
+    LeaseFailure,
+    LeaseResult,
+    RenderSpec,
+    SceneLoaded,
+    Started,
+)
+
+SCENES_KEPT: Final = 4
+"""Loaded scenes; the least recently used one goes first."""
+HEARTBEAT_SECONDS: Final = 2.0
+_PR_SET_PDEATHSIG: Final = 1
+
+
+class SceneError(RuntimeError):
+    """The scene cannot be made ready: an asset is missing or broken."""
+
+
+class BuildRefusedError(RuntimeError):
+    """The device's compiler refused the program."""
+
+
+class DeviceRefusedError(RuntimeError):
+    """The driver refused: no memory, a lost device."""
+
+
+class LoadedScene(Protocol):
+    """A scene on a device."""
+
+    build_seconds: float
+    compile_seconds: float
+    compile_warm: bool
+    effects: tuple[tuple[str, bool, str], ...]
+    program_hash: str
+
+    def trace(self, tile: Tile, first: int, count: int) -> SumNode:
+        """Raises DeviceRefusedError."""
+
+
+class Backend(Protocol):
+    """A device and how scenes get onto it."""
+
+    def list(self) -> list[DeviceDescription]:
+        """All devices of this machine."""
+
+    def open(self, device_id: str) -> DeviceDescription:
+        """Take hold of one. Raises DeviceRefusedError."""
+
+    def load(self, spec: RenderSpec) -> LoadedScene:
+        """Raises SceneError, BuildRefusedError, DeviceRefusedError."""
+
+
+class DeviceProcess:
+    """Reads leases, answers them."""
+
+    def __init__(self, backend: Backend, connection: Connection) -> None:
+        self._backend = backend
+        self._connection = connection
+        self._sending = threading.Lock()
+        self._scenes: OrderedDict[str, LoadedScene] = OrderedDict()
+        self._told: set[tuple[str, str]] = set()
+        self._phase = "idle"
+
+    def run(self, device_id: str) -> None:
+        """Until the parent is gone or says so."""
+        self._send(Hello(self._backend.open(device_id)))
+        threading.Thread(target=self._beat, daemon=True).start()
+        while True:
+            try:
+                lease = self._connection.recv()
+            except (EOFError, OSError):
+                return
+            if lease is None:
+                return
+            self._do(lease)
+            self._phase = "idle"
+
+    def _do(self, lease: Lease) -> None:
+        self._send(Started(lease.id))
+        try:
+            scene = self._scene(lease)
+            self._phase = f"trace {lease.id}"
+            started = time.perf_counter()
+            nodes = tuple(scene.trace(item.tile, item.first, item.count) for item in lease.items)
+            self._send(LeaseResult(lease.id, nodes, time.perf_counter() - started))
+        except SceneError as error:
+            self._send(LeaseFailure(lease.id, "scene", str(error)))
+        except BuildRefusedError as error:
+            self._send(LeaseFailure(lease.id, "build", str(error)))
+        except DeviceRefusedError as error:
+            self._scenes.clear()
+            self._send(LeaseFailure(lease.id, "device", str(error)))
+        except (BrokenPipeError, ConnectionError):
+            sys.exit(0)
+        except Exception as error:  # the job must hear of our own mistakes too
+            traceback.print_exc()
+            self._send(LeaseFailure(lease.id, "internal", f"{type(error).__name__}: {error}"))
+
+    def _scene(self, lease: Lease) -> LoadedScene:
+        """From the scenes that are loaded, or load it; tells the job, once."""
+        key = lease.spec.key
+        scene = self._scenes.get(key)
+        warm = scene is not None
+        if scene is None:
+            self._phase = f"load {lease.job}"
+            while len(self._scenes) >= SCENES_KEPT:
+                self._scenes.popitem(last=False)
+            scene = self._backend.load(lease.spec)
+            self._scenes[key] = scene
+        self._scenes.move_to_end(key)
+        if not warm or (lease.job, key) not in self._told:
+            self._told.add((lease.job, key))
+            self._send(_loaded(lease.job, scene, warm))
+        return scene
+
+    def _send(self, message: FromDevice) -> None:
+        with self._sending:
+            self._connection.send(message)
+
+    def _beat(self) -> None:
+        while True:
+            time.sleep(HEARTBEAT_SECONDS)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            try:
+                self._send(Heartbeat(self._phase, peak))
+            except OSError:
+                return
+
+
+def _loaded(job: str, scene: LoadedScene, warm: bool) -> SceneLoaded:
+    return SceneLoaded(
+        job,
+        build_seconds=0.0 if warm else scene.build_seconds,
+        build_warm=warm,
+        compile_seconds=0.0 if warm else scene.compile_seconds,
+        compile_warm=warm or scene.compile_warm,
+        effects=scene.effects,
+        program_hash=scene.program_hash,
+    )
+
+
+def die_with(parent: int) -> None:
+    """Have the kernel kill this process when its parent dies, also while a driver holds it. Linux only."""
+    if sys.platform != "linux":
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:  # it died before we asked
+        sys.exit(0)
+
+
+def main(backend: Backend, arguments: Sequence[str] | None = None) -> None:
+    """The process's whole life. Tests pass a backend that needs no device."""
+    parser = argparse.ArgumentParser(
+        prog="device_process", description="Drives one OpenCL device for Penumbra."
+    )
+    parser.add_argument("--list", action="store_true", help="print the machine's devices as JSON and end")
+    parser.add_argument("--device", help="the device's id, such as pocl:0")
+    parser.add_argument("--fd", type=int, help="the inherited socket")
+    parser.add_argument("--parent", type=int, help="process id to die with")
+    options = parser.parse_args(arguments)
+    if options.list:
+        print(json.dumps([asdict(device) for device in backend.list()]), flush=True)
+        return
+    # Ctrl-C reaches the whole process group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with(options.parent)
+    try:
+        DeviceProcess(backend, Connection(options.fd)).run(options.device)
+    except DeviceRefusedError as error:  # the last words are what the service shows
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    from penumbra_service.engine.opencl import OpenCLBackend
+
+    main(OpenCLBackend())

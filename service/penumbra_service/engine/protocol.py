@@ -1,0 +1,184 @@
+"""What an engine and its device processes say to each other, and what a job is to an engine. Plain picklable
+values.
+
+A device process gets RenderSpecs by reference (a path, a folder), never scenes themselves; it answers with
+sum nodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import Protocol
+
+from penumbra_kernels.nodes import SumNode
+
+from penumbra_service.jobs.planning import WorkItem
+
+
+@dataclass(frozen=True)
+class RenderSpec:
+    """What a device must load to work on a job; the same key, the same bits."""
+
+    scene_path: str
+    """The scene as rendered, JSON."""
+    scene_hash: str
+    assets_folder: str | None
+    """Assets by content."""
+    scene_folder: str | None
+    """What `file` references are relative to; None: they are refused."""
+    time: float
+    replicates: int
+    strata: int
+    program: str = "specialised"
+    """Or 'generic': every effect compiled in."""
+
+    @property
+    def key(self) -> str:
+        """Names what is to be loaded, not where from."""
+        parts = asdict(self)
+        del parts["scene_path"]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class DeviceDescription:
+    """A device as it describes itself."""
+
+    id: str
+    name: str
+    platform: str
+    version: str
+    driver: str
+    kind: str
+    compute_units: int
+    memory_bytes: int
+    bit_class: str
+
+
+@dataclass(frozen=True)
+class Lease:
+    """Work for one device."""
+
+    id: str
+    job: str
+    spec: RenderSpec
+    items: tuple[WorkItem, ...]
+    deadline_seconds: float
+    """After which the device counts as hung, from when it starts on the lease with the scene loaded."""
+
+
+# From the parent to a device process: Lease, or None to end.
+
+
+@dataclass(frozen=True)
+class Hello:
+    """The device is open."""
+
+    device: DeviceDescription
+
+
+@dataclass(frozen=True)
+class Started:
+    """The process turns to this lease; if it dies now, the lease is to blame."""
+
+    lease: str
+
+
+@dataclass(frozen=True)
+class SceneLoaded:
+    """A job's scene is on the device, its program built."""
+
+    job: str
+    build_seconds: float
+    """Decoding assets, arrays, trees, upload."""
+    build_warm: bool
+    """The process had it loaded already."""
+    compile_seconds: float
+    compile_warm: bool
+    """The program came from the cache, or the process had it loaded."""
+    effects: tuple[tuple[str, bool, str], ...]
+    """(name, compiled in, why)."""
+    program_hash: str
+
+
+@dataclass(frozen=True)
+class LeaseResult:
+    """All of a lease's nodes."""
+
+    lease: str
+    nodes: tuple[SumNode, ...]
+    seconds: float
+    """Of tracing."""
+
+
+@dataclass(frozen=True)
+class LeaseFailure:
+    """The process lives, but could not do the lease. kind: 'scene' (an asset is missing or broken), 'build'
+    (the compiler refused), 'device' (the driver did), 'internal'."""
+
+    lease: str
+    kind: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """The process lives."""
+
+    phase: str
+    resident_bytes: int
+
+
+@dataclass(frozen=True)
+class LeaseLost:
+    """From the engine: the device process ended with this lease. `blamed`: it was working on it."""
+
+    lease: str
+    device: str
+    blamed: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class NoDevice:
+    """From the engine: nothing is left that could render."""
+
+    reason: str
+
+
+FromDevice = Hello | Started | SceneLoaded | LeaseResult | LeaseFailure | Heartbeat
+ToJob = SceneLoaded | LeaseResult | LeaseFailure | LeaseLost | NoDevice
+
+
+class LeaseSource(Protocol):
+    """A job as an engine sees it. Both methods are called on the engine's thread and must return at once."""
+
+    @property
+    def job(self) -> str: ...
+
+    @property
+    def priority(self) -> int: ...
+
+    def next_lease(self, device: DeviceDescription) -> Lease | None:
+        """Work for a device, or None."""
+
+    def deliver(self, device: DeviceDescription, event: ToJob) -> None:
+        """Something about one of this job's leases."""
+
+
+class Engine(Protocol):
+    """Who runs leases."""
+
+    def attach(self, source: LeaseSource) -> None:
+        """Start to ask a job for leases."""
+
+    def detach(self, source: LeaseSource) -> None:
+        """Ask it no more; answers to its leases are thrown away."""
+
+    def wake(self) -> None:
+        """A job has new leases."""
+
+    def usable(self) -> list[DeviceDescription]:
+        """Devices that are up, or may come up again."""

@@ -1,0 +1,214 @@
+"""One device of the local engine: its process, the leases that it has, and how it is started again after a
+crash."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import tempfile
+import time
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import IO, Final
+
+from penumbra_scene.job import DeviceState
+
+from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseSource
+
+log = logging.getLogger(__name__)
+
+IN_FLIGHT: Final = 2
+"""Leases that a device holds: with one it idles while the answer travels."""
+SCENE_SECONDS: Final = 900.0
+"""A device may take so long to load a scene: decoding, building trees over 50 million triangles,
+compiling."""
+START_SECONDS: Final = 120.0
+"""A process may take so long to say Hello."""
+START_ATTEMPTS: Final = 3
+"""Processes in a row that may end before they say Hello, until the device counts as lost."""
+RETRY_SECONDS: Final = (0.0, 1.0, 5.0, 60.0)
+"""Waits before start attempt 1, 2, 3 in a row, and all later ones."""
+STDERR_TAIL: Final = 2000
+"""Bytes of a dead process's last words that its reason quotes."""
+
+
+@dataclass
+class Held:
+    """A lease that a device has."""
+
+    lease: Lease
+    source: LeaseSource
+
+
+class DeviceSlot:
+    """Owned by the engine's thread. Reads of plain fields from other threads are snapshots."""
+
+    def __init__(self, description: DeviceDescription, command: Sequence[str]) -> None:
+        self.description = description
+        self.process: subprocess.Popen[bytes] | None = None
+        self.connection: Connection | None = None
+        self.held: OrderedDict[str, Held] = OrderedDict()
+        self.running: str | None = None
+        """The lease that the process works on."""
+        self.ready = False
+        self.failures = 0
+        """Processes in a row that ended before they said Hello."""
+        self.start_at = 0.0
+        self.deadline: float | None = None
+        self.leases_done = 0
+        self.crashes = 0
+        self.samples_per_second: float | None = None
+        self.last_reason = ""
+        self._command = command
+        self._words: IO[bytes] | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Whether it failed to start so often that nobody should wait for it."""
+        return self.failures >= START_ATTEMPTS
+
+    @property
+    def state(self) -> DeviceState:
+        if self.lost:
+            return DeviceState.LOST
+        if not self.ready:
+            return DeviceState.STARTING
+        return DeviceState.BUSY if self.held else DeviceState.IDLE
+
+    def start(self) -> None:
+        """Begin a process; it says Hello when the device is open."""
+        ours, theirs = Pipe()
+        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        command = [
+            *self._command,
+            *("--device", self.description.id, "--fd", str(theirs.fileno()), "--parent", str(os.getpid())),
+        ]
+        try:
+            self.process = subprocess.Popen(
+                command,
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=self._words,
+                stderr=self._words,
+            )
+        finally:
+            theirs.close()
+        self.connection = ours
+        self.deadline = time.monotonic() + START_SECONDS
+
+    def send(self, lease: Lease, source: LeaseSource) -> None:
+        """Hand over a lease. Raises OSError where the process is gone."""
+        assert self.connection is not None
+        self.held[lease.id] = Held(lease, source)
+        if self.deadline is None:
+            self._allow(lease.id, SCENE_SECONDS)
+        self.connection.send(lease)
+
+    def greeted(self, description: DeviceDescription) -> None:
+        """The process has opened its device."""
+        self.description = description
+        self.ready = True
+        self.failures = 0
+        self.deadline = None
+
+    def begun(self, lease_id: str) -> None:
+        """The process has turned to a lease; it may have to load the scene first."""
+        self.running = lease_id
+        self._allow(lease_id, SCENE_SECONDS)
+
+    def loaded(self) -> None:
+        """The scene of the running lease is on the device."""
+        if self.running is not None:
+            self._allow(self.running, 0.0)
+
+    def answered(self, lease_id: str) -> Held | None:
+        """The process is through with a lease."""
+        self.running = None
+        self.deadline = None
+        self.leases_done += 1
+        held = self.held.pop(lease_id, None)
+        if self.held:
+            self._allow(next(iter(self.held)), SCENE_SECONDS)
+        return held
+
+    def overdue(self, now: float) -> bool:
+        """Whether the process hangs."""
+        return self.process is not None and self.deadline is not None and now > self.deadline
+
+    def end(self, reason: str | None = None) -> str:
+        """Make sure that the process is gone; say why it is. `reason`: why it was killed, None where it ended
+        by itself."""
+        assert self.process is not None
+        assert self.connection is not None
+        if reason is not None:
+            self.process.kill()
+        code = self._wait()
+        why = reason or _how_it_ended(code)
+        words = self._last_words()
+        self.last_reason = f"the process of device {self.description.id} {why}" + (
+            f": {words}" if words else ""
+        )
+        self.connection.close()
+        self.process = self.connection = self.deadline = self.running = None
+        if self.ready:
+            self.crashes += 1
+        else:
+            self.failures += 1
+        self.ready = False
+        self.start_at = time.monotonic() + RETRY_SECONDS[min(self.failures, len(RETRY_SECONDS) - 1)]
+        return self.last_reason
+
+    def close(self, patience: float) -> None:
+        """End the process for good: ask, then kill."""
+        if self.process is None or self.connection is None:
+            return
+        try:
+            if not self.held:
+                self.connection.send(None)
+                self.process.wait(patience)
+        except (OSError, subprocess.TimeoutExpired):
+            pass
+        self.process.kill()
+        self.process.wait()
+        self.connection.close()
+        if self._words is not None:
+            self._words.close()
+
+    def _allow(self, lease_id: str, more: float) -> None:
+        held = self.held.get(lease_id)
+        seconds = held.lease.deadline_seconds if held else 0.0
+        self.deadline = time.monotonic() + seconds + more
+
+    def _wait(self) -> int:
+        assert self.process is not None
+        try:
+            return self.process.wait(5.0)
+        except subprocess.TimeoutExpired:  # it closed its socket but lives on
+            self.process.kill()
+            return self.process.wait()
+
+    def _last_words(self) -> str:
+        if self._words is None:
+            return ""
+        size = self._words.seek(0, os.SEEK_END)
+        self._words.seek(max(size - STDERR_TAIL, 0))
+        words = self._words.read().decode(errors="replace").strip()
+        self._words.close()
+        self._words = None
+        if words:
+            log.warning("device %s said: %s", self.description.id, words)
+        return words
+
+
+def _how_it_ended(code: int) -> str:
+    if code < 0:
+        try:
+            return f"was ended by {signal.Signals(-code).name}"
+        except ValueError:
+            return f"was ended by signal {-code}"
+    return f"ended with code {code}"

@@ -1,0 +1,212 @@
+"""Which lease next: work items (tile, aligned power-of-two range of samples) grouped to one or two seconds of
+a device.
+
+Pure: knows neither devices nor clocks, only the rates that it is told. How work is cut changes no bits, so it
+may follow the machines' speed freely.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from penumbra_kernels.layout import LAYERS, SUM
+from penumbra_kernels.nodes import FLOAT32_SAMPLES, SUM64, Tile
+
+LEASE_SECONDS: Final = 1.5
+"""What a lease should take: long against the some 5 ms of its way there and back, short enough to be done
+again."""
+FIRST_LEASE_SAMPLES: Final = 1 << 17
+"""Samples of a device's first lease, before its rate is known: some 0.1 s of one core."""
+MAX_GROWTH: Final = 8
+"""A lease holds at most so many times the samples of the device's largest before: first rates are poor
+guesses."""
+MAX_LEASE_BYTES: Final = 32 * 1024 * 1024
+"""Of sum nodes in an answer."""
+MAX_LEASE_ITEMS: Final = 256
+RATE_WEIGHT: Final = 0.5
+"""Of the newest measurement in a device's running rate."""
+
+
+@dataclass(frozen=True)
+class WorkItem:
+    """One sum node to be made."""
+
+    tile: Tile
+    first: int
+    count: int
+
+    @property
+    def end(self) -> int:
+        return self.first + self.count
+
+    def halves(self) -> tuple[WorkItem, WorkItem]:
+        """The two children, in index order."""
+        half = self.count // 2
+        return WorkItem(self.tile, self.first, half), WorkItem(self.tile, self.first + half, half)
+
+
+@dataclass(frozen=True)
+class PlannedLease:
+    """Work for one device."""
+
+    number: int
+    items: tuple[WorkItem, ...]
+    samples: int
+    """All pixels and replicates together."""
+    attempt: int = 1
+
+
+@dataclass
+class _Rate:
+    samples_per_second: float | None = None
+    largest: int = FIRST_LEASE_SAMPLES // MAX_GROWTH
+
+
+class LeasePlanner:
+    """The ready work of one job, and the leases that are out. Not thread-safe: its owner holds a lock."""
+
+    def __init__(self, replicates: int, devices: int = 1) -> None:
+        self.replicates = replicates
+        self.devices = devices
+        """How many share the work: the last leases shrink so that all end together."""
+        self.redone = 0
+        """Leases that had to be issued again."""
+        self._ready: deque[WorkItem] = deque()
+        self._ready_samples = 0
+        self._attempts: dict[WorkItem, int] = {}
+        self._out: dict[int, PlannedLease] = {}
+        self._rates: dict[str, _Rate] = {}
+        self._next = 1
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is left to be handed out."""
+        return not self._ready
+
+    @property
+    def ready_samples(self) -> int:
+        """Samples that wait to be handed out, all pixels and replicates together."""
+        return self._ready_samples
+
+    @property
+    def out_samples(self) -> int:
+        """Samples in leases under way."""
+        return sum(lease.samples for lease in self._out.values())
+
+    @property
+    def rate(self) -> float | None:
+        """Samples a second of all devices that have answered together."""
+        known = [r.samples_per_second for r in self._rates.values() if r.samples_per_second]
+        return sum(known) if known else None
+
+    def rate_of(self, device: str) -> float | None:
+        """Samples a second of one device."""
+        rate = self._rates.get(device)
+        return rate.samples_per_second if rate else None
+
+    def samples_of(self, item: WorkItem) -> int:
+        """All pixels and replicates of an item together."""
+        return self.replicates * item.tile.width * item.tile.height * item.count
+
+    def add(self, items: Iterable[WorkItem]) -> None:
+        """Put work at the end of the queue."""
+        for item in items:
+            self._ready.append(item)
+            self._ready_samples += self.samples_of(item)
+
+    def take(self, device: str) -> PlannedLease | None:
+        """The next lease for a device, or None where nothing is ready."""
+        budget = self._budget(device)
+        items: list[WorkItem] = []
+        samples = size = 0
+        while self._ready and len(items) < MAX_LEASE_ITEMS:
+            item = self._pop()
+            while not items and item.count > 1 and self.samples_of(item) > budget:
+                item = self._split(item)
+            if items and (
+                samples + self.samples_of(item) > budget or size + self._bytes(item) > MAX_LEASE_BYTES
+            ):
+                self._push_front(item)
+                break
+            items.append(item)
+            samples += self.samples_of(item)
+            size += self._bytes(item)
+        if not items:
+            return None
+        attempt = 1 + max(self._attempts.get(item, 0) for item in items)
+        lease = PlannedLease(self._next, tuple(items), samples, attempt)
+        self._next += 1
+        self._out[lease.number] = lease
+        rate = self._rates.setdefault(device, _Rate())
+        rate.largest = max(rate.largest, samples)
+        return lease
+
+    def done(self, number: int, device: str, seconds: float) -> PlannedLease | None:
+        """A lease has been answered after `seconds` of tracing; None where it was given up before."""
+        lease = self._out.pop(number, None)
+        if lease is not None and seconds > 0:
+            self._measure(device, lease.samples / seconds)
+        return lease
+
+    def lost(self, number: int) -> PlannedLease | None:
+        """A lease will not be answered: its work goes to the front of the queue."""
+        lease = self._out.pop(number, None)
+        if lease is None:
+            return None
+        for item in lease.items:
+            self._attempts[item] = lease.attempt
+        for item in reversed(lease.items):
+            self._push_front(item)
+        self.redone += 1
+        return lease
+
+    def drop(self) -> None:
+        """Forget all work; answers to leases under way are not waited for."""
+        self._ready.clear()
+        self._ready_samples = 0
+        self._out.clear()
+
+    def expected_seconds(self, device: str, lease: PlannedLease) -> float | None:
+        """What a lease should take, None where the device's rate is not known."""
+        rate = self.rate_of(device)
+        return lease.samples / rate if rate else None
+
+    def _budget(self, device: str) -> int:
+        rate = self._rates.get(device, _Rate())
+        most = rate.largest * MAX_GROWTH
+        if rate.samples_per_second is not None:
+            most = min(most, int(rate.samples_per_second * LEASE_SECONDS))
+        share = self.ready_samples // (2 * max(self.devices, 1))
+        return max(min(most, share), FIRST_LEASE_SAMPLES // MAX_GROWTH)
+
+    def _pop(self) -> WorkItem:
+        item = self._ready.popleft()
+        self._ready_samples -= self.samples_of(item)
+        return item
+
+    def _push_front(self, item: WorkItem) -> None:
+        self._ready.appendleft(item)
+        self._ready_samples += self.samples_of(item)
+
+    def _split(self, item: WorkItem) -> WorkItem:
+        first, second = item.halves()
+        self._push_front(second)
+        if item in self._attempts:
+            self._attempts[first] = self._attempts[second] = self._attempts.pop(item)
+        return first
+
+    def _bytes(self, item: WorkItem) -> int:
+        # Nodes of up to FLOAT32_SAMPLES are smaller; layers may be absent: this is the bound.
+        entry = (SUM64.itemsize if item.count > FLOAT32_SAMPLES else SUM.itemsize) + LAYERS.itemsize
+        return entry * self.replicates * item.tile.width * item.tile.height
+
+    def _measure(self, device: str, samples_per_second: float) -> None:
+        rate = self._rates.setdefault(device, _Rate())
+        before = rate.samples_per_second
+        if before is None:
+            rate.samples_per_second = samples_per_second
+        else:
+            rate.samples_per_second = RATE_WEIGHT * samples_per_second + (1 - RATE_WEIGHT) * before

@@ -1,0 +1,221 @@
+"""The receipt of a finished render, from the run's own record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib import metadata
+from typing import Final
+
+from penumbra_scene.check import scene_hash
+from penumbra_scene.job import ErrorPoint, Interval, StopReason
+from penumbra_scene.receipt import (
+    Counts,
+    EffectReport,
+    Forecast,
+    PlanStep,
+    Receipt,
+    ReceiptDevice,
+    ReceiptError,
+    ReceiptFilm,
+    Stages,
+    StageTime,
+)
+from penumbra_scene.scene import Scene
+
+from penumbra_service.film.error import normal_quantile
+from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta
+from penumbra_service.jobs.record import RunRecord
+
+DISTRIBUTIONS: Final = ("penumbra-render", "numpy", "pyopencl", "pocl-binary-distribution", "OpenImageIO")
+"""Whose versions a receipt names."""
+
+
+@dataclass(frozen=True)
+class ReceiptContext:
+    """What the run itself does not know."""
+
+    job: str
+    name: str
+    created: datetime
+    started: datetime | None
+    finished: datetime
+    queue_seconds: float = 0.0
+    write_seconds: float = 0.0
+    time: float = 0.0
+    """Seconds: when the scene was looked at."""
+    warnings: tuple[str, ...] = field(default=())
+
+
+def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: ReceiptContext) -> Receipt:
+    """A receipt for a picture that ends at record.ends[-1] samples a replicate. `scene`: as rendered."""
+    counts = _counts(record)
+    return Receipt(
+        job=context.job,
+        name=context.name,
+        created=context.created,
+        started=context.started,
+        finished=context.finished,
+        versions=versions(),
+        scene_hash=scene_hash(scene),
+        program_hash=record.program_hash,
+        kernel_hash=record.kernel_hash,
+        time=context.time,
+        film=ReceiptFilm(
+            width=scene.film.width,
+            height=scene.film.height,
+            crop=scene.film.crop,
+            filter=scene.film.filter,
+            layers=scene.film.layers,
+            half=scene.film.half,
+        ),
+        sampler=scene.sampler.type,
+        seed=str(scene.sampler.seed),
+        replicates=record.replicates,
+        samples=counts.taken / counts.pixels if counts.pixels else 0.0,
+        stop=scene.stop,
+        stop_reason=reason,
+        stages=_stages(record, context),
+        error=_error(record, scene.stop.confidence),
+        forecast=_forecast(record),
+        counts=counts,
+        effects_in=tuple(EffectReport(name=e.name, reason=e.reason) for e in record.effects if e.present),
+        effects_out=tuple(
+            EffectReport(name=e.name, reason=e.reason) for e in record.effects if not e.present
+        ),
+        devices=_devices(record),
+        bit_class=record.bit_class,
+        plan=_plan(record),
+        redone_leases=record.redone_leases,
+        warnings=(*record.warnings, *context.warnings),
+    )
+
+
+def versions() -> dict[str, str]:
+    """Of this package and what it stands on, as installed."""
+    found = {}
+    for name in DISTRIBUTIONS:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _counts(record: RunRecord) -> Counts:
+    c = record.counts
+    if c is None:
+        return Counts(taken=0, lit=0, rejected=0, pixels=0)
+    return Counts(
+        taken=c.taken,
+        lit=c.lit,
+        rejected=c.rejected,
+        rejected_in={name: count for name, count in c.rejected_in.items() if count},
+        pixels=c.pixels,
+        flagged_pixels=c.flagged,
+        flagged_share=c.flagged / c.pixels if c.pixels else 0.0,
+        empty_pixels=c.flags.get("empty", 0),
+    )
+
+
+def _stages(record: RunRecord, context: ReceiptContext) -> Stages:
+    return Stages(
+        queue=StageTime(seconds=context.queue_seconds),
+        compile=StageTime(seconds=record.compile_seconds, warm=record.compile_warm),
+        build=StageTime(seconds=record.build_seconds, warm=record.build_warm),
+        trace=StageTime(seconds=record.trace_seconds),
+        write=StageTime(seconds=context.write_seconds),
+        wall_seconds=max((context.finished - context.created).total_seconds(), 0.0),
+    )
+
+
+def error_interval(point: Point, confidence: float) -> Interval | None:
+    """The relative error's interval at one check; None where no error is known."""
+    if not math.isfinite(point.relmse):
+        return None
+    spread = normal_quantile(confidence) * point.deviation
+    return Interval(
+        low=math.sqrt(point.relmse * max(1 - spread, 0.0)),
+        high=math.sqrt(point.relmse * (1 + spread)),
+        confidence=confidence,
+    )
+
+
+def error_point(point: Point, confidence: float) -> ErrorPoint:
+    """A check as the contract writes it."""
+    known = math.isfinite(point.relmse)
+    return ErrorPoint(
+        samples=point.samples,
+        seconds=point.seconds,
+        relmse=point.relmse if known else None,
+        relative_error=math.sqrt(point.relmse) if known else None,
+        relative_error_interval=error_interval(point, confidence),
+    )
+
+
+def _error(record: RunRecord, confidence: float) -> ReceiptError:
+    last = record.points[-1] if record.points else None
+    if last is None or not math.isfinite(last.relmse):
+        return ReceiptError(method=method(record))
+    fit = fit_theta(record.points)
+    half = normal_quantile(confidence) * fit.deviation
+    return ReceiptError(
+        relmse=last.relmse,
+        relative_error=math.sqrt(last.relmse),
+        relative_error_interval=error_interval(last, confidence),
+        mse=last.mse,
+        theta=fit.theta if fit.points else None,
+        theta_interval=(max(fit.theta - half, THETA_RANGE[0]), min(fit.theta + half, THETA_RANGE[1]))
+        if fit.points
+        else None,
+        method=method(record),
+        curve=tuple(error_point(p, confidence) for p in record.points),
+    )
+
+
+def method(record: RunRecord) -> str:
+    """How variance was made, in words: also an attribute of the EXR."""
+    if record.deterministic:
+        return "none: the sampler is deterministic, variance is NaN"
+    if record.replicates < 2:
+        return "none: one replicate, variance is NaN"
+    return (
+        f"variance of the mean over {record.replicates} independent replicates, sum (m_r - m)^2 / (R (R - 1))"
+    )
+
+
+def _forecast(record: RunRecord) -> Forecast:
+    real = record.points[-1].samples if record.points else 0
+    told = record.foretold
+    if told is None:
+        return Forecast(real_samples=real, real_seconds=record.seconds)
+    return Forecast(
+        at_samples=told.at_samples,
+        predicted_samples=told.samples,
+        predicted_seconds=told.seconds,
+        real_samples=real,
+        real_seconds=record.seconds,
+    )
+
+
+def _devices(record: RunRecord) -> tuple[ReceiptDevice, ...]:
+    return tuple(
+        ReceiptDevice(
+            id=use.id,
+            name=use.name,
+            platform=use.platform,
+            driver=use.driver,
+            bit_class=use.bit_class,
+            leases=use.leases,
+            seconds=use.seconds,
+        )
+        for use in record.devices.values()
+    )
+
+
+def _plan(record: RunRecord) -> tuple[PlanStep, ...]:
+    steps = zip([0, *record.ends], record.ends, strict=False)
+    return tuple(
+        PlanStep(first_sample=first, sample_count=end - first) for first, end in steps if end > first
+    )

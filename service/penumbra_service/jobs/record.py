@@ -1,0 +1,112 @@
+"""What a run writes down as it goes: all that a receipt tells and a restart must know. Kept as JSON beside
+the tiles."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from penumbra_service.film.predict import Point
+
+
+@dataclass
+class DeviceUse:
+    """What one device did for a job."""
+
+    id: str
+    name: str
+    platform: str
+    driver: str
+    bit_class: str
+    leases: int = 0
+    seconds: float = 0.0
+
+
+@dataclass
+class Effect:
+    """An effect, compiled in or left out."""
+
+    name: str
+    present: bool
+    reason: str
+
+
+@dataclass
+class Foretold:
+    """The first prediction of a run."""
+
+    at_samples: int
+    samples: float
+    seconds: float
+
+
+@dataclass
+class PixelCounts:
+    """Samples and pixels by what became of them."""
+
+    taken: int = 0
+    lit: int = 0
+    rejected: int = 0
+    rejected_in: dict[str, int] = field(default_factory=dict)
+    """Pixels by name of an effect that their rejected samples had met."""
+    pixels: int = 0
+    flagged: int = 0
+    flags: dict[str, int] = field(default_factory=dict)
+    """Pixels by name of their flag."""
+
+
+@dataclass
+class RunRecord:
+    """A run's own account, over all of its restarts."""
+
+    replicates: int = 1
+    strata: int = 0
+    deterministic: bool = False
+    seconds: float = 0.0
+    """Of tracing, by the clock."""
+    points: list[Point] = field(default_factory=list)
+    ends: list[int] = field(default_factory=list)
+    """Samples a replicate at which the error was looked at; the last is where the picture ends, once it
+    has."""
+    compile_seconds: float = 0.0
+    compile_warm: bool | None = None
+    """Whether every program came from a cache; None before the first."""
+    build_seconds: float = 0.0
+    build_warm: bool | None = None
+    """Whether every device had the scene loaded already."""
+    trace_seconds: float = 0.0
+    """All devices' together."""
+    devices: dict[str, DeviceUse] = field(default_factory=dict)
+    effects: list[Effect] = field(default_factory=list)
+    program_hash: str | None = None
+    kernel_hash: str | None = None
+    redone_leases: int = 0
+    crashes: int = 0
+    foretold: Foretold | None = None
+    counts: PixelCounts | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def bit_class(self) -> str:
+        """The one class of all devices that worked, or 'mixed'."""
+        classes = sorted({use.bit_class for use in self.devices.values() if use.leases})
+        return classes[0] if len(classes) == 1 else ("mixed" if classes else "none")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionaries and lists."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> RunRecord:
+        """Back from to_json. Raises TypeError, KeyError or ValueError for anything else."""
+        plain = {f.name for f in dataclasses.fields(cls)}
+        if set(data) - plain:
+            raise ValueError(f"unknown fields: {sorted(set(data) - plain)}")
+        record = cls(**data)
+        record.points = [Point(**p) for p in data["points"]]
+        record.devices = {key: DeviceUse(**use) for key, use in data["devices"].items()}
+        record.effects = [Effect(**e) for e in data["effects"]]
+        record.foretold = Foretold(**data["foretold"]) if data["foretold"] else None
+        record.counts = PixelCounts(**data["counts"]) if data["counts"] else None
+        return record

@@ -1,0 +1,102 @@
+"""A device process without OpenCL: its 'samples' are hashes of (seed, pixel, replicate, sample index).
+
+The scene's name says how it behaves: words among slow, crash-load, crash-trace, hang, bad-scene, bad-build, bad-device.
+The environment's FAKE_DEVICES names the devices (commas), FAKE_BROKEN those that cannot be opened.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_kernels.layout import SUM
+from penumbra_kernels.nodes import SumNode, Tile, merge
+from penumbra_scene.scene import Scene
+from penumbra_service.engine.device_process import (
+    BuildRefusedError,
+    DeviceRefusedError,
+    SceneError,
+    main,
+)
+from penumbra_service.engine.protocol import DeviceDescription, RenderSpec
+
+SLOW_SECONDS = 0.05
+
+
+def _uniform(seed: int, tile: Tile, replicates: int, index: int) -> NDArray[np.float32]:
+    y, x = np.mgrid[tile.y : tile.y + tile.height, tile.x : tile.x + tile.width].astype(np.uint64)
+    r = np.arange(replicates, dtype=np.uint64)[:, None, None]
+    key = (x << np.uint64(40)) ^ (y << np.uint64(20)) ^ (r << np.uint64(12)) ^ np.uint64(index << 44)
+    key = key ^ np.uint64(seed * 0x5851F42D4C957F2D % 2**64)
+    for _ in range(3):
+        key = (key ^ (key >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
+        key ^= key >> np.uint64(29)
+    return ((key >> np.uint64(40)).astype(np.float64) * 2.0**-24).astype(np.float32)
+
+
+class FakeScene:
+    build_seconds = 0.01
+    compile_seconds = 0.02
+    compile_warm = False
+    effects = (("lens", False, "nothing uses it"), ("gloss", True, "a test says so"))
+    program_hash = "0" * 64
+
+    def __init__(self, scene: Scene, spec: RenderSpec) -> None:
+        self.scene = scene
+        self.spec = spec
+
+    def trace(self, tile: Tile, first: int, count: int) -> SumNode:
+        if "slow" in self.scene.name:
+            time.sleep(SLOW_SECONDS)
+        if "crash-trace" in self.scene.name:
+            os.abort()
+        if "hang" in self.scene.name:
+            time.sleep(1000)
+        if "bad-device" in self.scene.name:
+            raise DeviceRefusedError("out of resources")
+        return self._node(tile, first, count)
+
+    def _node(self, tile: Tile, first: int, count: int) -> SumNode:
+        if count > 1:
+            half = count // 2
+            return merge(self._node(tile, first, half), self._node(tile, first + half, half))
+        sums = np.zeros((self.spec.replicates, tile.height, tile.width), SUM)
+        value = _uniform(self.scene.sampler.seed, tile, self.spec.replicates, first)
+        for channel, weight in enumerate((1.0, 0.5, 2.0, 0.0)):
+            sums["rgba"][..., channel] = np.float32(weight) * value
+        sums["rgba"][..., 3] = 1
+        sums["taken"] = sums["lit"] = 1
+        return SumNode(tile, first, 1, sums)
+
+
+class FakeBackend:
+    def list(self) -> list[DeviceDescription]:
+        names = os.environ.get("FAKE_DEVICES", "fake:0").split(",")
+        return [_describe(name) for name in names if name]
+
+    def open(self, device_id: str) -> DeviceDescription:
+        if device_id in os.environ.get("FAKE_BROKEN", "").split(","):
+            raise DeviceRefusedError("this device is broken")
+        return _describe(device_id)
+
+    def load(self, spec: RenderSpec) -> FakeScene:
+        scene = Scene.model_validate_json(Path(spec.scene_path).read_bytes())
+        if "crash-load" in scene.name:
+            print("the driver says goodbye", flush=True)
+            os.abort()
+        if "bad-scene" in scene.name:
+            raise SceneError("image textures/wood: is not here; upload it first")
+        if "bad-build" in scene.name:
+            raise BuildRefusedError("trace.cl:1: error: no")
+        return FakeScene(scene, spec)
+
+
+def _describe(name: str) -> DeviceDescription:
+    return DeviceDescription(name, f"Fake {name}", "Fake", "1.0", "1.0", "cpu", 1, 1 << 30, "fake|1.0")
+
+
+if __name__ == "__main__":
+    main(FakeBackend())
