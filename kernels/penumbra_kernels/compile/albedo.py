@@ -57,8 +57,8 @@ def fresnel(c: Array, eta: float) -> tuple[Array, Array]:
 def _visible_normals(wo: Array, ax: float, ay: float) -> tuple[Array, Array]:
     """Normals visible from wo (directions, 3), as (directions, nodes, 3), and their weights (nodes,).
 
-    Spherical caps (Dupuy and Benyoub 2023), over Gauss nodes in height and the midpoint rule in azimuth, half of
-    which is enough where every wo lies in the plane y = 0.
+    Spherical caps (Dupuy and Benyoub 2023), over Gauss nodes in height and the midpoint rule in azimuth, half
+    of which is enough where every wo lies in the plane y = 0.
     """
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)
     u = 0.5 * (x + 1.0)

@@ -128,10 +128,12 @@ def test_a_nearly_matched_rough_pane_is_clear() -> None:
 
 
 def test_tables_are_finite_whatever_the_roughness() -> None:
-    for alpha in np.geomspace(1e-4, 1.4, 60):
+    for alpha in np.geomspace(1e-4, 1.4, 13):
         a = float(np.float32(alpha))
         assert np.isfinite(albedo.conductor_table(a, a)).all()
-        assert np.isfinite(albedo.coat_table(a, 0.5 * a, 1.5, True)).all()
+        assert np.isfinite(albedo.heights(a)).all()
+        assert albedo.heights(a).max() <= 1.0
+        assert np.isfinite(albedo.coat_table(a, a, 1.5, True)).all()
     assert np.isfinite(albedo.dielectric_tables(0.2, 0.1, 1.5)).all()
     assert np.isfinite(albedo.sheet_table(0.2, 1.5)).all()
 

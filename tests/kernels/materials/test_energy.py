@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 SIGMAS = 5.0
 """A false alarm in two million; the means below are of bounded numbers, so nearly normal."""
-SAMPLES = 200_000
+SAMPLES = 100_000
 
 TILTED = ((0.0, 0.0, 1.0), (0.28, 0.0, 0.96), (0.96, 0.0, -0.28))
 """A shading normal 16 degrees off the geometric one."""
@@ -68,8 +68,8 @@ def test_compensated_anisotropic_metal_is_white_in_a_furnace(
     assert energy.mean() == pytest.approx(1.0, abs=SIGMAS * energy.std() / np.sqrt(SAMPLES) + 0.01)
 
 
-@pytest.mark.parametrize("cosine", [1.0, 0.6, 0.2, 0.02, -1.0, -0.8, -0.5, -0.1])
-@pytest.mark.parametrize("ior", [0.7, 1.2, 1.5, 2.4])
+@pytest.mark.parametrize("cosine", [1.0, 0.2, 0.02, -1.0, -0.5, -0.1])
+@pytest.mark.parametrize("ior", [0.7, 1.5, 2.4])
 @pytest.mark.parametrize("alpha", [0.05, 0.4, 1.0])
 def test_compensated_glass_keeps_all_light(bench: Any, alpha: float, ior: float, cosine: float) -> None:
     material = {"type": "dielectric", "roughness": _roughness(alpha), "ior": ior}

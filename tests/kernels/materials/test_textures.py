@@ -37,8 +37,8 @@ BSDF_KERNEL = """
 #include "materials/bsdf.cl"
 
 __kernel void colours(const __global ShapeData *shapes, const __global Material *materials,
-                      const __global Texture *textures, const __global float4 *texels, const __global float *uv,
-                      __global float *albedo) {
+                      const __global Texture *textures, const __global float4 *texels,
+                      const __global float *uv, __global float *albedo) {
   const size_t i = get_global_id(0);
   SceneData scene;
   scene.shapes = shapes;

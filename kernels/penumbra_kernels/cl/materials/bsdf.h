@@ -2,6 +2,7 @@
 // Local frame: z is the shading normal on the viewer's side, x the tangent that anisotropy follows. Directions are unit and
 // point away from the surface. The viewer's side is decided by the geometric normal alone.
 #include "base/types.h"
+#include "sampling/warp.cl"
 
 #define BSDF_EVENT_DELTA 1u     // a direction of a perfect mirror or pane: weight is final, pdf its discrete probability
 #define BSDF_EVENT_TRANSMIT 2u  // through the surface
@@ -45,12 +46,10 @@ static inline float3 mirror_of(const float3 wo) { return (float3)(-wo.x, -wo.y, 
 static inline float reuse_below(const float u, const float p) { return MIN(u / p, ONE_MINUS_EPSILON); }
 static inline float reuse_above(const float u, const float p) { return MIN((u - p) / (1.0f - p), ONE_MINUS_EPSILON); }
 
-// Cosine-distributed direction about +z; density z / pi. Its z is at least 2^-12, since u.x <= 1 - 2^-24.
+// Cosine-distributed direction about +z; density z / pi.
 static inline float3 cosine_direction(const float2 u) {
-  const float r = SQRT(u.x);
-  float s, c;
-  sincos_2pi(u.y, &s, &c);
-  return (float3)(r * c, r * s, SQRT(1.0f - u.x));
+  float pdf;
+  return square_to_cosine_hemisphere(u, &pdf);
 }
 
 static inline void delta_event(BsdfSample *out, const float3 wi, const float3 weight, const float probability,
