@@ -13,7 +13,7 @@ from penumbra_service.store.keys import ApiKey, KeyStore
 
 
 def run(host: str | None = None, port: int | None = None, data: Path | None = None, **settings: Any) -> int:
-    """Serves until SIGINT or SIGTERM; the running job's snapshot is written before it returns the exit status.
+    """Serves until SIGINT or SIGTERM and returns the exit status; first the running job writes its snapshot.
 
     Arguments are settings (penumbra_service.settings); None leaves one to the environment or its default.
     Raises SettingsError, PublicWithoutKeyError, and OSError where the address cannot be had.

@@ -20,7 +20,7 @@ EXAMPLE_SCENE: Final[dict[str, Any]] = {
     },
     "film": {"width": 320, "height": 240},
     "stop": {"relative_error": 0.05, "seconds": 60},
-    "materials": {"clay": {"type": "diffuse", "color": [0.7, 0.5, 0.4]}},
+    "materials": {"clay": {"type": "diffuse", "base_color": [0.7, 0.5, 0.4]}},
     "shapes": [
         {"type": "plane", "material": "clay"},
         {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.8, "material": "clay"},
