@@ -1,8 +1,8 @@
 """Discrete distributions for a device whose uniform numbers have 24 bits: CDFs and Walker's alias table.
 
-Probabilities are rounded, in float64, to multiples of 2^-24 with at least one step for every weight above zero.
-So what the device takes for a probability is exactly the share of the uniform numbers that lead there, whatever
-the ratio of the largest weight to the smallest: nothing is chosen more or less often than its density says.
+Probabilities are rounded, in float64, to multiples of 2^-24 with at least one step for every weight above
+zero. So what the device takes for a probability is exactly the share of the uniform numbers that lead there,
+whatever the ratio of the largest weight to the smallest: no entry is chosen more or less often than it says.
 """
 
 from __future__ import annotations

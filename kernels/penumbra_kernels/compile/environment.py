@@ -94,7 +94,7 @@ def compile_environment(environment: ImageEnvironment, assets: Assets, time: flo
 
 
 def _fill_columns(buffer: NDArray[np.float32], height: int, width: int) -> NDArray[np.float64]:
-    """Writes each row's CDF, and its texels' densities along u behind their colours. Returns the rows' flux."""
+    """Writes each row's CDF, and its texels' densities along u after their colours. Returns rows' flux."""
     texels = height * width
     flat = buffer.reshape(-1)
     first = 4 * texels + height + 1

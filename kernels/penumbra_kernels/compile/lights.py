@@ -1,8 +1,8 @@
 """Lights -> LIGHT records, the table that chooses among them, triangle CDFs, the environment.
 
 An emitting shape is one light, each placed copy of a prototype's too; then come the scene's own lights, the
-environment last. Geometry is metres relative to the anchor, or in the frame of the instance that carries the light.
-Powers, which only steer the choice, are watts, the mean of red, green and blue.
+environment last. Geometry is metres relative to the anchor, or in the frame of the instance that carries the
+light. Powers, which only steer the choice, are watts, the mean of red, green and blue.
 """
 
 from __future__ import annotations
