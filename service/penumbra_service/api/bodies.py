@@ -21,6 +21,8 @@ from penumbra_service.api.problems import refuse
 from penumbra_service.images.assets import FolderAssets
 
 T = TypeVar("T")
+_OF_SCENES = frozenset({"version", "camera", "shapes"})
+"""Keys by which a document is told to be a scene, not a job."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,9 @@ def _check_media_type(request: Request) -> None:
 def parse_submission(body: bytes, limit: int, assets: FolderAssets) -> Submission:
     """A job from {"scene": ...}, or from a bare scene. Raises ProblemError."""
     document = parse_json(body, limit)
-    bare = isinstance(document, dict) and "scene" not in document and "camera" in document
+    bare = (
+        isinstance(document, dict) and "scene" not in document and not document.keys().isdisjoint(_OF_SCENES)
+    )
     if bare:
         scene_from_json(document)  # so that pointers fit what was sent
         document = {"scene": document}
