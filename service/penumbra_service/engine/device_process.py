@@ -204,6 +204,7 @@ def main(backend: Backend, arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    from penumbra_service.engine.opencl import OpenCLBackend
+    from penumbra_service.engine import device_process, opencl
 
-    main(OpenCLBackend())
+    # By its real name: exceptions of `__main__` would be others than those that the backend raises.
+    device_process.main(opencl.OpenCLBackend())

@@ -248,6 +248,7 @@ class JobRunner:
         self._clock_started: float | None = None
         self._forecast: Forecast | None = None
         self._share = 0.0
+        self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
         self._next_snapshot = time.monotonic() + SNAPSHOT_SECONDS
         self._film_changed = False
@@ -545,7 +546,10 @@ class JobRunner:
         done = self._samples_done / (self._window.width * self._window.height)
         progress = progress_of(self._rule, self._record, self._forecast, done, seconds, self._share)
         self._share = progress.progress
-        self._on_progress(self._life.state, progress)
+        news = (self._life.state, progress)
+        if news != self._told:
+            self._told = news
+            self._on_progress(*news)
         if self._preview.changed and now >= self._last_preview + PREVIEW_SECONDS:
             self._last_preview = now
             self._on_preview(self._preview.image())
