@@ -1,7 +1,8 @@
 """A device process without OpenCL: its 'samples' are hashes of (seed, pixel, replicate, sample index).
 
-The scene's name says how it behaves: words among slow, crash-load, crash-trace, hang, bad-scene, bad-build, bad-device.
-The environment's FAKE_DEVICES names the devices (commas), FAKE_BROKEN those that cannot be opened.
+The scene's name says how it behaves: words among slow, crash-load, crash-trace, hang, bad-scene, bad-build,
+bad-device. The environment's FAKE_DEVICES names the devices (commas), FAKE_BROKEN those that cannot be
+opened.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import SumNode, Tile, merge
 
 Draw = Callable[[Tile, int, int], NDArray[Any]]
-"""(tile, replicates, sample index) -> (replicates, height, width, 4): one sample of every pixel and replicate."""
+"""(tile, replicates, sample index) -> (replicates, height, width, 4): one sample of every pixel and
+replicate."""
 
 
 def _leaf(tile: Tile, replicates: int, index: int, draw: Draw) -> SumNode:

@@ -1,4 +1,5 @@
-"""The film: bits that do not depend on tiles, order, memory or restarts; broken files only cost their tile."""
+"""The film: bits that do not depend on tiles, order, memory or restarts; broken files only cost their
+tile."""
 
 from __future__ import annotations
 

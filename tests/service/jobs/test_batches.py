@@ -1,0 +1,70 @@
+"""Batches: one ahead and never two, nothing past the stop counts, time is used and kept."""
+
+from __future__ import annotations
+
+from penumbra_service.film.error import ImageError
+from penumbra_service.film.stop import StopRule
+from penumbra_service.jobs.batches import Batches
+
+BAD = ImageError(1.0, 0.0, 1.0, 1.0, 1)
+GOOD = ImageError(1e-9, 0.0, 1.0, 1.0, 1)
+
+
+def test_one_batch_is_worked_on_ahead_and_never_two():
+    batches = Batches(StopRule(8, relative_error=0.01))
+    assert batches.open_next(None, None) == (0, 1)
+    assert batches.open_next(None, None) == (1, 2)
+    assert batches.open_next(None, None) is None
+    assert batches.barriers == (1,)
+    assert batches.check(0.1, BAD) is None
+    assert (batches.checked, batches.current, batches.ahead) == (1, 2, None)
+    assert batches.barriers == (1, 2)
+    assert batches.open_next(None, None) == (2, 3)
+
+
+def test_what_is_past_the_stop_does_not_count():
+    batches = Batches(StopRule(8, relative_error=0.01))
+    batches.open_next(None, None)
+    batches.open_next(None, None)
+    batches.check(0.1, BAD)
+    batches.open_next(None, None)
+    assert batches.check(0.2, GOOD) == "relative_error"
+    assert batches.settle() == 2
+    assert batches.ends == [1, 2]
+
+
+def test_speed_chooses_check_points_only_where_they_decide_nothing():
+    free = Batches(StopRule(8, samples=1000))
+    assert free.open_next(100.0, None) == (0, 64)
+    bound = Batches(StopRule(8, samples=1000, relative_error=0.01))
+    assert bound.open_next(100.0, None) == (0, 1)
+
+
+def test_time_left_shortens_the_batch_and_ends_the_job():
+    batches = Batches(StopRule(8, seconds=10.0), checked=64)
+    left = batches.seconds_left(9.5, 0.0, 16.0)
+    assert left == 0.5
+    assert batches.open_next(16.0, left) == (64, 72)
+    assert batches.seconds_left(9.75, 4.0, 16.0) == 0.0
+    assert batches.open_next(16.0, 0.0) is None
+    assert batches.check(10.0, BAD) == "seconds"
+    assert batches.settle() == 72
+
+
+def test_a_first_picture_is_always_finished():
+    batches = Batches(StopRule(8, seconds=1.0))
+    batches.open_next(None, 1.0)
+    assert not batches.overdue(100.0, lambda: 100.0)
+    batches.checked = 1
+    assert batches.overdue(1.0, lambda: 0.2)
+    assert not batches.overdue(1.0, lambda: 0.04)
+    assert not batches.overdue(0.9, lambda: 100.0)
+
+
+def test_begun_batches_are_taken_up_again():
+    batches = Batches(StopRule(8, relative_error=0.01), checked=4)
+    batches.reopen((5, 6))
+    assert batches.ranges == [(0, 4), (4, 5), (5, 6)]
+    assert batches.open_ends == (5, 6)
+    assert batches.barriers == (4, 5)
+    assert Batches(StopRule(8)).ranges == []
