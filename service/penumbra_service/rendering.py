@@ -1,4 +1,4 @@
-"""`penumbra render` and `penumbra devices`: this machine's devices, each in a process of its own, no service."""
+"""`penumbra render` and `penumbra devices`: this machine's devices in processes of their own, no service."""
 
 from __future__ import annotations
 
