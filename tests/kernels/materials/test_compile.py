@@ -167,5 +167,5 @@ def test_mean_fresnel_obeys_the_reciprocity_of_diffuse_light(eta: float) -> None
 
 
 def test_mean_fresnel_of_glass() -> None:
-    # Diffuse reflectance of index 1.5, 0.09178 (Judd 1942, table I; Egan and Hilgeman 1979).
+    # Diffuse reflectance of index 1.5, 0.09178 (Judd 1942).
     assert albedo.mean_fresnel(1.5) == pytest.approx(0.0918, abs=5e-5)

@@ -1,5 +1,5 @@
 // Light that bounces several times between microfacets, which the single-scattering formula loses: a second, broad lobe
-// returns just that (Kulla and Conty 2017, "Revisiting Physically Based Shading at Imageworks", pp. 15-20), so that a rough
+// returns just that (Kulla and Conty 2017, "Revisiting Physically Based Shading at Imageworks"), so that a rough
 // surface in a white furnace is white, and the sum stays reciprocal.
 //
 // A table (compile/albedo.py makes one for each roughness that a scene has) holds missing(w) = 1 - the albedo of single

@@ -9,7 +9,7 @@ static inline float3 conductor_fresnel(const Bsdf *b, const float c) {
 }
 
 // Colour of light after two bounces and more, with F the mean Fresnel and E the mean albedo of one bounce:
-// F^2 E / (1 - F (1 - E)) (Kulla and Conty 2017, p. 17). Schlick's mean is f0 + (1 - f0) / 21.
+// F^2 E / (1 - F (1 - E)) (Kulla and Conty 2017). Schlick's mean is f0 + (1 - f0) / 21.
 static inline float3 conductor_multiple_color(const Bsdf *b) {
   const float e = b->near_table[3];
   float3 f = b->color0;

@@ -1,6 +1,6 @@
 // Glass and water: an interface that reflects and refracts, perfectly (alpha 0) or by GGX microfacets (Walter et al. 2007).
 // color1 tints what passes. Values are of radiance: through the interface it scales with the square of the index of
-// refraction, so transmission carries 1 / eta^2 (Veach 1997, eq. 5.2), and f / n^2 is what is reciprocal.
+// refraction, so transmission carries 1 / eta^2 (Veach 1997, section 5.2), and f / n^2 is what is reciprocal.
 // `lobe` is the probability of the lobes of several bounces.
 #include "materials/compensation.cl"
 #include "materials/fresnel.cl"

@@ -30,7 +30,7 @@ static inline float fresnel_dielectric(const float c, const float eta, float *co
   return MIN(0.5f * (across * across + along * along), 1.0f);
 }
 
-// Schlick 1994, eq. 15, between f0 and white.
+// Schlick 1994, between f0 and white.
 static inline float3 fresnel_schlick(const float3 f0, const float c) {
   const float m = 1.0f - CLAMP01(c);
   const float m2 = m * m;

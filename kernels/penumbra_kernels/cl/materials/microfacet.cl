@@ -34,7 +34,7 @@ static inline float3 ggx_sample_visible(const float3 wo, const float ax, const f
   return normalize3((float3)(ax * (sine * c + w.x), ay * (sine * s + w.y), height));
 }
 
-// Density of that normal per solid angle, D(m) G1(wo) dot(wo, m) / wo.z (Heitz 2018, eq. 1).
+// Density of that normal per solid angle, D(m) G1(wo) dot(wo, m) / wo.z (Heitz 2018).
 static inline float ggx_visible_pdf(const float3 wo, const float3 m, const float ax, const float ay) {
   return 2.0f * ggx_d(m, ax, ay) * MAX(dot3(wo, m), 0.0f) / (wo.z + ggx_l(wo, ax, ay));
 }

@@ -1,5 +1,5 @@
 // Lambertian base with a Phong cone about the mirror direction: color0 / pi + color1 (n + 2) / (2 pi) cos^n, the cosine
-// being that between wi and the mirror direction of wo (Lafortune and Willems 1994, eq. 4). Conserves energy where
+// being that between wi and the mirror direction of wo (Lafortune and Willems 1994). Conserves energy where
 // color0 + color1 <= 1: where they ask for more, both are scaled down. `lobe` is the probability of the cone.
 #include "base/transcendental.cl"
 #include "materials/bsdf.h"

@@ -1,6 +1,6 @@
 // A diffuse base under a dielectric coat of GGX microfacets (perfectly smooth for alpha 0). The coat lets T(w) = 1 - R(w) of
 // the light from direction w pass to the base and back, R its albedo; the base is color0 / pi times T(wo) T(wi) / mean T, which
-// with a white base gives back just what the coat does not reflect (the coupling of Ashikhmin and Shirley 2000, eq. 5, with
+// with a white base gives back just what the coat does not reflect (the coupling of Kelemen and Szirmay-Kalos 2001, with
 // the coat's own albedo). Reciprocal, and 1 in a white furnace.
 // `lobe` is the probability of the coat. T is tabulated in the layout of compensation.cl, its rows right after the header.
 #include "materials/compensation.cl"
