@@ -167,7 +167,7 @@ def test_lens_rays_are_those_of_float64(shoot: Shoot, aperture: float, focus: fl
 
 @pytest.mark.parametrize("blades", [0, 5])
 def test_circle_of_confusion(shoot: Shoot, blades: int) -> None:
-    """All rays of one film point meet in the plane in focus; at depth z they fill a disc (or polygon) of radius
+    """All rays of one film point meet in the plane in focus; at depth z they fill a disc or polygon of radius
     a |z - f| / f, uniformly."""
     aperture, focus = 0.2, 4.0
     u = random_u(1 << 16)

@@ -15,7 +15,7 @@ Launch = Callable[..., None]
 
 @pytest.fixture(scope="session")
 def compiled(device: Device) -> Callable[[str, Mapping[str, int]], Launch]:
-    """Compiled(text, flags) -> launch(name, size, out, *arguments).
+    """compiled(text, flags) -> launch(name, size, out, *arguments).
 
     Runs kernel `name` over `size` work-items and fills `out` from the buffer that is its first argument.
     Arrays are uploaded; numpy scalars pass by value.

@@ -31,7 +31,7 @@ __kernel void permuted(__global uint *out, const uint count) {
 }
 __kernel void sobol_points(__global uint2 *out, const __global uint *index) {
   const uint i = get_global_id(0);
-  out[i] = (uint2)(REVERSE_BITS(index[i]), pascal(REVERSE_BITS(index[i])));
+  out[i] = (uint2)(REVERSE_BITS(index[i]), REVERSE_BITS(pascal_reversed(index[i])));
 }
 __kernel void scrambled(__global uint *out, const __global uint *x, const __global uint *seed) {
   const uint i = get_global_id(0);

@@ -17,19 +17,11 @@ static inline ulong spread_bits(const uint x) {
 // A pixel's place on the Z-curve (Morton 1966).
 static inline ulong z_curve(const uint x, const uint y) { return (spread_bits(y) << 1) | spread_bits(x); }
 
-// Image of a base-4 digit under permutation number p of the 24, by the factorial number system.
+// Image of a base-4 digit under permutation number p of the 24: each is x -> M x + c over pairs of bits, M one of the six
+// invertible 2x2 matrices (a nibble each: the images of 1 and of 2), c one of four.
 static inline uint permute_digit(const uint digit, const uint p) {
-  const uint first = p / 6u;             // where 0 goes
-  const uint second = (p / 2u) % 3u;     // where 1 goes, among the three that are left
-  const uint last = p & 1u;              // whether 2 and 3 are swapped in the two that are left
-  uint left = 0x3210u;                   // free places, a nibble each
-  uint place = (left >> (4u * first)) & 3u;
-  if (digit == 0u) return place;
-  left = ((left >> (4u * first + 4u)) << (4u * first)) | (left & ((1u << (4u * first)) - 1u));
-  place = (left >> (4u * second)) & 3u;
-  if (digit == 1u) return place;
-  left = ((left >> (4u * second + 4u)) << (4u * second)) | (left & ((1u << (4u * second)) - 1u));
-  return (left >> (4u * ((digit - 2u) ^ last))) & 3u;
+  const uint columns = 0xb7e6d9u >> (4u * (p >> 2));
+  return (p & 3u) ^ ((digit & 1u) ? columns & 3u : 0u) ^ ((digit & 2u) ? (columns >> 2) & 3u : 0u);
 }
 
 // The order of base-4 digits from `digits` - 1 down to 0: each is permuted by a hash of the digits above it.
@@ -57,21 +49,19 @@ static inline ulong blue_index(const Sampler *s, const ulong element, const uint
   return shuffle_digits(rank, s->digits + (bits >> 1), (bits & 1u) != 0u, *key);
 }
 
-// Sobol's dimensions for 64 bits of index: in the first, bits beyond 32 lie below the resolution.
-static inline uint pascal_high(const uint high) { return pascal(REVERSE_BITS(high)); }
-
 static inline float blue_noise_1d(const Sampler *s, const ulong dimension, const ulong element, const uint strata) {
   ulong key = hash_combine(s->frame_key, dimension);
   const ulong index = blue_index(s, element, strata, &key);
   return uniform_of(sobol_x((uint)index, (uint)mix64(key)));
 }
 
-// Column 32 + k of the infinite Pascal matrix modulo 2 has column k's pattern in its first 32 rows (Lucas: C(32 + k, j) and
-// C(k, j) have the same parity for j < 32), so the high half of the index adds the same matrix once more.
+// An index has up to 62 bits. In the first dimension those beyond 32 lie below its resolution. In the second, column 32 + k
+// of the Pascal matrix modulo 2 equals column k in its first 32 rows (Lucas: C(32 + k, j) and C(k, j) have the same parity
+// for j < 32), so the high half of the index is folded onto the low one.
 static inline float2 blue_noise_2d(const Sampler *s, const ulong dimension, const ulong element, const uint strata) {
   ulong key = hash_combine(s->frame_key, dimension);
   const ulong index = blue_index(s, element, strata, &key);
   const ulong seeds = mix64(key);
-  const uint y = pascal_high((uint)index) ^ pascal_high((uint)(index >> 32));
-  return (float2)(uniform_of(sobol_x((uint)index, (uint)seeds)), uniform_of(owen_scramble(y, (uint)(seeds >> 32))));
+  const uint folded = (uint)index ^ (uint)(index >> 32);
+  return (float2)(uniform_of(sobol_x((uint)index, (uint)seeds)), uniform_of(sobol_y(folded, (uint)(seeds >> 32))));
 }

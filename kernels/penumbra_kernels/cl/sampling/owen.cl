@@ -30,19 +30,20 @@ static inline uint owen_scramble(const uint x, const uint seed) {
   return REVERSE_BITS(scramble_reversed(REVERSE_BITS(x), seed));
 }
 
-// Second Sobol dimension from the first (the bit-reversed index): multiplication by the Pascal matrix modulo 2, which
-// factors into one step for each bit of a bit's number (Ahmed 2024, "An Implementation Algorithm of 2D Sobol Sequence").
-static inline uint pascal(uint x) {
-  x ^= x << 16;
-  x ^= (x & 0x00ff00ffu) << 8;
-  x ^= (x & 0x0f0f0f0fu) << 4;
-  x ^= (x & 0x33333333u) << 2;
-  return x ^ ((x & 0x55555555u) << 1);
+// Second Sobol dimension of an index, reversed. The first dimension is the reversed index, so its own reversal is the index
+// itself; the second is its product with the Pascal matrix modulo 2, which factors into one step for each bit of a bit's
+// number (Ahmed 2024, "An Implementation Algorithm of 2D Sobol Sequence Fast, Elegant, and Compact", mirrored).
+static inline uint pascal_reversed(uint index) {
+  index ^= index >> 16;
+  index ^= (index & 0xff00ff00u) >> 8;
+  index ^= (index & 0xf0f0f0f0u) >> 4;
+  index ^= (index & 0xccccccccu) >> 2;
+  return index ^ ((index & 0xaaaaaaaau) >> 1);
 }
 
-// Owen-scrambled first dimension at an index: the bit reversal that makes it meets the one that scrambling needs.
+// Owen-scrambled dimensions at an index: reversed numbers are what scrambling wants, so only the result is turned round.
 static inline uint sobol_x(const uint index, const uint seed) { return REVERSE_BITS(scramble_reversed(index, seed)); }
 
 static inline uint sobol_y(const uint index, const uint seed) {
-  return owen_scramble(pascal(REVERSE_BITS(index)), seed);
+  return REVERSE_BITS(scramble_reversed(pascal_reversed(index), seed));
 }

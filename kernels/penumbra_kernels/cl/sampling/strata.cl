@@ -18,7 +18,7 @@ static inline Stratum stratum_of(const ulong element, const uint strata) {
   Stratum s;
   if (strata > 0u) {
     s.count = MIN(strata, MAX_STRATA);
-    s.block = element / s.count;
+    s.block = element < s.count ? 0ul : element / s.count;
     s.offset = (uint)(element - s.block * s.count);
     return s;
   }
@@ -48,16 +48,24 @@ static inline uint permute_small(const uint i, const uint count, ulong key) {
   return (uint)(order >> (4u * i)) & 15u;
 }
 
-// A permutation of [0, 2^bits) that the key picks: a Feistel network of the two halves of the bits (Luby and Rackoff 1988).
+// What a round of the network below adds: 32 bits hashed with the round's slice of the key.
+static inline uint round_bits(const uint other, const ulong key, const uint round) {
+  uint x = (other ^ (uint)(key >> (4u * round))) * 0x9e3779b1u;
+  x = (x ^ (x >> 15)) * 0x85ebca77u + (uint)(key >> 32);
+  return (x ^ (x >> 13)) * 0xc2b2ae3du >> 16;
+}
+
+// A permutation of [0, 2^bits), bits <= 24, that the key picks: a Feistel network of the two halves of the bits (Luby and
+// Rackoff 1988).
 static inline uint permute_bits(const uint x, const uint bits, const ulong key) {
   const uint low_bits = bits >> 1;
   const uint low_mask = (1u << low_bits) - 1u;
   const uint high_mask = (1u << (bits - low_bits)) - 1u;
   uint low = x & low_mask;
   uint high = x >> low_bits;
-  for (uint round = 0u; round < 4u; ++round) {
-    high ^= (uint)(mix64(key + low + ((ulong)(2u * round) << 32)) >> 32) & high_mask;
-    low ^= (uint)(mix64(key + high + ((ulong)(2u * round + 1u) << 32)) >> 32) & low_mask;
+  for (uint round = 0u; round < 8u; round += 2u) {
+    high ^= round_bits(low, key, round) & high_mask;
+    low ^= round_bits(high, key, round + 1u) & low_mask;
   }
   return (high << low_bits) | low;
 }
