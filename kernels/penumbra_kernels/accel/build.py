@@ -1,7 +1,8 @@
 """From boxes to the device's tree: NODE8 nodes, and which items stand in which packet.
 
-Leaf words are LEAF_* of layout.py. The traversal's stack is a fixed array on the device: MAX_STACK is what any tree may
-need of it at most, and trees that would need more are built again with halving instead of the heuristic further down.
+Leaf words are LEAF_* of layout.py. The traversal's stack is a fixed array on the device: MAX_STACK is what
+any tree may need of it at most, and trees that would need more are built again with halving instead of the
+heuristic further down.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ def build_tree(
 ) -> Tree:
     """Build over the items.
 
-    copies: by key, how many packets a group of its triangles takes (deformation keyframes); [1] where none deforms.
-    node_base, packet_base: what stands before this tree in the shared arrays.
+    copies: by key, how many packets a group of its triangles takes (deformation keyframes); [1] where none
+    deforms. node_base, packet_base: what stands before this tree in the shared arrays.
     """
     copies = np.ones(1, np.int64) if copies is None else copies
     n = len(items.lo)
@@ -172,7 +173,8 @@ def _collapse(
     flat = nodes.view(np.float32).reshape(slots, wide.UINTS)
     positions, keyframe = np.empty((packets, 8), np.int32), np.empty(packets, np.int32)
     stack = write(
-        table, first_child, tree.lo, tree.hi, tree.first, tree.count, items.lo, items.hi, tree.order, item_key, items.word,
-        copies, is_leaf, key, node_base, packet_base, flat, flat.view(np.uint32), positions, keyframe, np.zeros(slots, np.int64),
+        table, first_child, tree.lo, tree.hi, tree.first, tree.count, items.lo, items.hi, tree.order,
+        item_key, items.word, copies, is_leaf, key, node_base, packet_base, flat, flat.view(np.uint32), positions,
+        keyframe, np.zeros(slots, np.int64),
     )  # fmt: skip
     return Tree(nodes, node_base, tree.order[positions], keyframe, int(stack))

@@ -1,8 +1,8 @@
 """Collapsing a binary tree to eight children a node, at the least expected cost, and writing it out as NODE8.
 
-Dynamic programming over "this subtree as i roots" (Ylitie, Karras, Laine 2017, section 3.1), with packets of eight
-triangles as leaves. These functions run as plain Python on small trees and compiled by numba on large ones: hence plain
-loops and no types.
+Dynamic programming over "this subtree as i roots" (Ylitie, Karras, Laine 2017, section 3.1), with packets of
+eight triangles as leaves. These functions run as plain Python on small trees and compiled by numba on large
+ones: hence plain loops and no types.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -25,9 +25,10 @@ NOTHING = -(1 << 31)
 def plan(child, lo, hi, count, item_cost, item_key, C, D, split8, is_leaf, key):
     """Fill the plan for every inner node, children before parents.
 
-    item_cost, item_key: by position; key >= 0: triangles that may share a packet with others of that key, -1: alone.
-    C, D: (m, 7): least cost as i + 1 roots, and how many of them the left child gets (0: as with one root fewer).
-    split8: how many of a wide node's eight children the left child makes. is_leaf: whether packets are cheaper.
+    item_cost, item_key: by position; key >= 0: triangles that may share a packet with others of that key,
+    -1: alone. C, D: (m, 7): least cost as i + 1 roots, and how many of them the left child gets (0: as with
+    one root fewer). split8: how many of a wide node's eight children the left child makes. is_leaf: whether
+    packets are cheaper.
     """
     for i in range(child.shape[0] - 1, -1, -1):
         l = child[i, 0]
@@ -73,8 +74,9 @@ def plan(child, lo, hi, count, item_cost, item_key, C, D, split8, is_leaf, key):
 def spread(child, count, item_key, copies, D, split8, is_leaf, key, table, first_child):
     """Give every wide node its place and its children: (nodes, packets).
 
-    table: (m, 8) children in the binary tree's order, NOTHING where there is none; first_child: (m,) place of a node's
-    first inner child. Siblings are neighbours, and nodes lie depth first. copies: by key, packets of a group.
+    table: (m, 8) children in the binary tree's order, NOTHING where there is none; first_child: (m,) place
+    of a node's first inner child. Siblings are neighbours, and nodes lie depth first. copies: by key,
+    packets of a group.
     """
     stack = np.empty((1024, 2), np.int64)
     refs = np.empty(2 * WIDTH, np.int64)
@@ -138,12 +140,14 @@ def spread(child, count, item_key, copies, D, split8, is_leaf, key, table, first
 
 
 def write(
-    table, first_child, lo, hi, first, count, item_lo, item_hi, order, item_key, item_word, copies, is_leaf, key,
+    table, first_child, lo, hi, first, count, item_lo, item_hi, order, item_key, item_word, copies,
+    is_leaf, key,
     node_base, packet_base, nodes, words, packet_items, packet_keyframe, need,
 ):  # fmt: skip
     """Write nodes and packets; returns the deepest stack that a traversal may need.
 
-    nodes, words: (slots, 64), one memory as float32 and uint32. packet_items: (p, 8) positions. need: (slots,) scratch.
+    nodes, words: (slots, 64), one memory as float32 and uint32. packet_items: (p, 8) positions. need:
+    (slots,) scratch.
     """
     packets = 0
     for slot in range(nodes.shape[0]):
@@ -171,9 +175,9 @@ def write(
                 size = 1 if ref < 0 else count[ref]
                 group = item_key[begin]
                 if group < 0:
-                    word = np.int64(item_word[order[begin]])
+                    word = int(item_word[order[begin]])
                 else:
-                    rows = np.int64(copies[group] if group > 0 else (size + WIDTH - 1) // WIDTH)
+                    rows = int(copies[group] if group > 0 else (size + WIDTH - 1) // WIDTH)
                     word = (DEFORMING if group > 0 else LEAF | (rows << COUNT_SHIFT)) | (
                         packet_base + packets
                     )
@@ -190,10 +194,10 @@ def write(
         used = 0
         below = 0
         for j in range(WIDTH):
-            word = np.int64(words[slot, CHILD + j])
-            if word != LEAF:
+            found = int(words[slot, CHILD + j])
+            if found != LEAF:
                 used += 1
-            if word < LEAF:
-                below = max(below, need[word - node_base])
+            if found < LEAF:
+                below = max(below, need[found - node_base])
         need[slot] = used - 1 + below
     return need[0]

@@ -1,4 +1,5 @@
-"""Boxes for the tree. Metres, in the tree's frame; computed in float64, stored in float32 with room for all rounding."""
+"""Boxes for the tree. Metres, in the tree's frame; computed in float64, stored in float32 with room for all
+rounding."""
 
 from __future__ import annotations
 
@@ -50,8 +51,8 @@ def _turn(a: Points, b: Points) -> float:
 def swept(lo: Points, hi: Points, transform: Transform, first: float, last: float) -> tuple[Points, Points]:
     """The box around everything that a box (3,) passes through over [first, last] (absolute seconds).
 
-    Between two looks at distance h (as a fraction of the segment) the path p = T + R S x of a corner stays within
-    max |p''| h^2 / 8 of the chord; with the segment's angle w, |p''| <= w^2 |S x| + 2 w |S1 x - S0 x|.
+    Between two looks at distance h (as a fraction of the segment) the path p = T + R S x of a corner stays
+    within max |p''| h^2 / 8 of the chord; with the segment's angle w, |p''| <= w^2 |S x| + 2 w |S1 x - S0 x|.
     """
     poses = poses_of(transform, first, last)
     out_lo, out_hi = transformed(lo, hi, matrix_at(transform, first))

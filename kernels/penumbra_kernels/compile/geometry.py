@@ -1,8 +1,8 @@
 """Shapes -> vertices, primitives, instances and the trees over them.
 
-What stands still is flattened into the world's tree, relative to the anchor in float64. What moves, prototypes, and
-spheres that a transform makes ellipsoids have trees of their own, placed by instances. Shapes of prototypes that emit are
-copied for each placement, so that every light has its own shape record.
+What stands still is flattened into the world's tree, relative to the anchor in float64. What moves,
+prototypes, and spheres that a transform makes ellipsoids have trees of their own, placed by instances.
+Shapes of prototypes that emit are copied for each placement, so that every light has its own shape record.
 """
 
 from __future__ import annotations
@@ -56,9 +56,11 @@ class ShapeRecord:
     """First primitive in the arrays of that kind."""
     count: int
     instance: int
-    """That places the primitives, or NONE: they are in the world frame. Of several (a prototype's), the first."""
+    """That places the primitives, or NONE: they are in the world frame. Of several (a prototype's), the
+    first."""
     world_from_object: NDArray[np.float64]
-    """(4, 4) from the model's own frame (before any transform) to the anchor-relative world, at the shutter's opening."""
+    """(4, 4) from the model's own frame (before any transform) to the anchor-relative world, at the
+    shutter's opening."""
     moving: bool
     """The instance moves while the shutter is open: its keyframes say how."""
 
@@ -72,7 +74,8 @@ class CompiledGeometry:
     """Everything that intersect and surface_at read."""
 
     arrays: dict[str, NDArray[Any]]
-    """nodes, packets, spheres, discs, planes, instances, times, shapes, triangles, positions, normals, uvs."""
+    """nodes, packets, spheres, discs, planes, instances, times, shapes, triangles, positions, normals,
+    uvs."""
     keyframes: NDArray[Any]
     """(n,) of KEYFRAME, those of instances and planes; indices count from its start."""
     root: int
@@ -229,7 +232,8 @@ class _Compiler:
             lo, hi = outer.sweep(lo, hi)
         else:
             lo, hi = bounds.transformed(lo, hi, outer.start if inner_counts else matrix)
-        # Coming into the object's frame rounds the ray's origin, the more the further the object's frame is off.
+        # Coming into the object's frame rounds the ray's origin, the more the further the object's frame is
+        # off.
         offset = np.abs(matrix[:3, :3]) @ np.abs(record["object_from_world"][:, 3].astype(np.float64))
         pad = bounds.BOX_SLACK * (offset + np.abs(matrix[:3, 3]))
         index = len(self.instances)
@@ -255,7 +259,8 @@ class _Compiler:
                 self._place(model, scene_shape, outer, where, Motion.of(model.transform, self.shutter))
 
     def _prototype(self, name: str, scene_shape: int, outer: Motion) -> list[_Part]:
-        """A tree for what stands still in the prototype, and one for each shape that moves in it or is an ellipsoid."""
+        """A tree for what stands still in the prototype, and one for each shape that moves in it or is an
+        ellipsoid."""
         still = TreeItems()
         parts: list[_Part] = []
         next_instance = len(self.instances)
@@ -309,6 +314,7 @@ class _Compiler:
 def compile_geometry(
     scene: Scene, assets: Assets, time: float, anchor: NDArray[np.float64], materials: Mapping[str, int]
 ) -> CompiledGeometry:
-    """The frame at `time` seconds. materials: name -> index. Raises AssetError for assets that are missing or broken."""
+    """The frame at `time` seconds. materials: name -> index. Raises AssetError for assets that are missing
+    or broken."""
     shutter = Shutter(time, scene.camera.shutter.open, scene.camera.shutter.close)
     return _Compiler(scene, assets, shutter, np.asarray(anchor, np.float64), materials).compile()

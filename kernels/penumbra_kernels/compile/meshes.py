@@ -83,14 +83,13 @@ def check_positions(positions: NDArray[Any], where: str) -> None:
         bad = ~(np.abs(part) <= LARGEST).all(axis=1)
         if bad.any():
             vertex = start + int(np.argmax(bad))
-            raise AssetError(
-                f"{where}: vertex {vertex} is at {tuple(float(x) for x in positions[vertex])}; coordinates must be finite and"
-                f" at most {LARGEST:g} m"
-            )
+            at = tuple(float(x) for x in positions[vertex])
+            raise AssetError(f"{where}: vertex {vertex} is at {at}; must be finite and at most {LARGEST:g} m")
 
 
 def smooth_normals(positions: NDArray[np.float64], indices: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """(n, 3) vertex normals, faces weighted by their angle at the vertex (Thurmer and Wuthrich 1998); 0 where none."""
+    """(n, 3) vertex normals, faces weighted by their angle at the vertex (Thurmer and Wuthrich 1998); 0
+    where none."""
     normals = np.zeros_like(positions)
     for start in range(0, len(indices), CHUNK):
         part = indices[start : start + CHUNK]

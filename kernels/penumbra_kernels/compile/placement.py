@@ -1,4 +1,5 @@
-"""Where a shape stands, still or moving, while the shutter is open. Metres, seconds; matrices float64, 4x4."""
+"""Where a shape stands, still or moving, while the shutter is open. Metres, seconds; matrices float64,
+4x4."""
 
 from __future__ import annotations
 

@@ -187,8 +187,8 @@ def add_triangles(
     shutter: Shutter,
     where: str,
 ) -> tuple[int, int]:
-    """A quad or mesh under a matrix: (first triangle, count). Fills its SHAPE record; triangles without area stay out of
-    the tree."""
+    """A quad or mesh under a matrix: (first triangle, count). Fills its SHAPE record; triangles without area
+    stay out of the tree."""
     found = quad_triangles(model) if isinstance(model, Quad) else mesh_triangles(model, assets, where)
     keys = _deformation(model, found, shutter, where) if isinstance(model, Mesh) else [(0.0, found.positions)]
     flags = CONSTANTS["SHAPE_FLIP"] if _mirrors(matrix) else 0
@@ -244,7 +244,8 @@ def _add_boxes(
 def _deformation(
     mesh: Mesh, found: Triangles, shutter: Shutter, where: str
 ) -> list[tuple[float, NDArray[np.float64]]]:
-    """(time relative to the frame's, positions) over the shutter interval; one where the mesh keeps its form."""
+    """(time relative to the frame's, positions) over the shutter interval; one where the mesh keeps its
+    form."""
     if mesh.deformation is None:
         return [(0.0, found.positions)]
     times = np.array([key.time for key in mesh.deformation])
@@ -315,7 +316,8 @@ def add_sphere(
 def axes_of(
     normal: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(u, v, n), right-handed and of unit length: u is +X within the surface, or -Z where the normal is along X."""
+    """(u, v, n), right-handed and of unit length: u is +X within the surface, or -Z where the normal is
+    along X."""
     n = normal / np.abs(normal).max()
     n = n / np.linalg.norm(n)
     reference = np.array([1.0, 0.0, 0.0]) if abs(n[0]) < 0.9 else np.array([0.0, 0.0, -1.0])
@@ -352,15 +354,16 @@ def add_disc(
 def _principal(
     p: NDArray[np.float64], q: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
-    """Orthogonal half axes of the ellipse p cos + q sin, and the angle (cosine, sine) that they turned: the point (a, b)
-    on them is (cosine a - sine b, sine a + cosine b) on p and q."""
+    """Orthogonal half axes of the ellipse p cos + q sin, and the angle (cosine, sine) that they turned: the
+    point (a, b) on them is (cosine a - sine b, sine a + cosine b) on p and q."""
     angle = 0.5 * math.atan2(2.0 * float(p @ q), float(p @ p) - float(q @ q))
     c, s = math.cos(angle), math.sin(angle)
     return c * p + s * q, c * q - s * p, c, s
 
 
 def add_plane(vertices: Vertices, plane: Plane, matrix: Matrix, number: int) -> int:
-    """A plane under a matrix; its index. Its point is the one nearest to the tree's origin, where floats are densest."""
+    """A plane under a matrix; its index. Its point is the one nearest to the tree's origin, where floats are
+    densest."""
     u, v, n = axes_of(np.asarray(plane.normal, np.float64))
     inverse = np.linalg.inv(matrix[:3, :3])
     at = matrix[:3, :3] @ np.asarray(plane.point) + matrix[:3, 3]

@@ -21,14 +21,16 @@ TRIANGLE, SPHERE, DISC, PLANE = range(4)
 
 ANSWER = np.dtype(
     [
-        ("t", "f4"), ("u", "f4"), ("v", "f4"), ("kind", "u4"), ("primitive", "u4"), ("instance", "u4"), ("shape", "u4"),
+        ("t", "f4"), ("u", "f4"), ("v", "f4"), ("kind", "u4"), ("primitive", "u4"), ("instance", "u4"),
+        ("shape", "u4"),
         ("occluded", "u4"), ("p", "f4", 3), ("p_error", "f4", 3), ("ng", "f4", 3), ("ns", "f4", 3),
         ("tangent", "f4", 3), ("uv", "f4", 2), ("origin", "f4", 3),
     ]
 )  # fmt: skip
 
 BUFFERS = (
-    "nodes", "packets", "shapes", "triangles", "positions", "normals", "uvs", "spheres", "discs", "planes", "instances",
+    "nodes", "packets", "shapes", "triangles", "positions", "normals", "uvs", "spheres", "discs", "planes",
+    "instances",
 )  # fmt: skip
 EFFECTS = ("ROUND", "INSTANCING", "MOTION", "DEFORMATION", "TEXTURES")
 
@@ -85,7 +87,11 @@ class Probe:
 
 
 def compiled(
-    shapes: list[dict[str, Any]], assets: Assets | None = None, anchor: Any = (0, 0, 0), time: float = 0.0, **scene: Any
+    shapes: list[dict[str, Any]],
+    assets: Assets | None = None,
+    anchor: Any = (0, 0, 0),
+    time: float = 0.0,
+    **scene: Any,
 ) -> CompiledGeometry:
     """Geometry of shapes in JSON."""
     camera = scene.pop("camera", {"type": "perspective"})
@@ -95,7 +101,9 @@ def compiled(
 
 def rays(origins: Any, directions: Any, tmax: float = np.inf, time: Any = 0.0) -> NDArray[np.float32]:
     """(n, 8) rays."""
-    origins, directions = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
+    origins, directions = np.broadcast_arrays(
+        np.asarray(origins, np.float64), np.asarray(directions, np.float64)
+    )
     out = np.empty((len(origins), 8), np.float32)
     out[:, :3], out[:, 3:6], out[:, 6], out[:, 7] = origins, directions, tmax, time
     return out

@@ -31,7 +31,8 @@ class Nearest:
         self.second = self.t.copy()
 
     def offer(self, t: Array, inside: Array, normal: Array, shape: int) -> None:
-        """t (n,), NaN or <= 0 for none; inside: how far from the primitive's edge, negative outside; normal (n, 3)."""
+        """t (n,), NaN or <= 0 for none; inside: how far from the primitive's edge, negative outside; normal
+        (n, 3)."""
         ahead = (t > 0) & np.isfinite(t)
         self.doubtful |= ahead & (np.abs(inside) < EDGE) & (t < self.t * 1.001)
         hit = ahead & (inside > 0)

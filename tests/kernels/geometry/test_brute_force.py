@@ -1,4 +1,5 @@
-"""Random scenes of everything there is against brute force in float64 (hard cases 15, 16, and every primitive)."""
+"""Random scenes of everything there is against brute force in float64 (hard cases 15, 16, and every
+primitive)."""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ def _steps(rng: np.random.Generator, size: float, stretch: bool) -> list[Any]:
         steps.append({"scale": [float(x) for x in rng.uniform(0.4, 1.6, 3) * rng.choice([-1, 1], 3)]})
     else:
         steps.append({"scale": float(rng.uniform(0.4, 1.6))})
-    steps.append({"rotate": {"axis": [float(x) for x in rng.normal(size=3)], "angle": float(rng.uniform(-180, 180))}})
+    steps.append(
+        {"rotate": {"axis": [float(x) for x in rng.normal(size=3)], "angle": float(rng.uniform(-180, 180))}}
+    )
     if stretch and rng.random() < 0.5:
         steps.append({"scale": [float(x) for x in rng.uniform(0.5, 2.0, 3)]})
     steps.append({"translate": _vector(rng, size)})
@@ -61,7 +64,8 @@ def _mesh(rng: np.random.Generator, deform: bool, size: float = 1.0) -> dict[str
     mesh: dict[str, Any] = {"type": "mesh", "positions": points, "indices": faces}
     if deform:
         mesh["deformation"] = [
-            {"time": t, "positions": [_vector(rng, size) for _ in range(n)]} for t in (FRAME, FRAME + 0.5, FRAME + 1)
+            {"time": t, "positions": [_vector(rng, size) for _ in range(n)]}
+            for t in (FRAME, FRAME + 0.5, FRAME + 1)
         ]
     return mesh
 
@@ -70,7 +74,12 @@ def _shape(rng: np.random.Generator, kind: str, deform: bool) -> dict[str, Any]:
     which = rng.integers(0, 4)
     shapes: list[dict[str, Any]] = [
         {"type": "sphere", "center": _vector(rng, 0.5), "radius": float(rng.uniform(0.3, 1))},
-        {"type": "disc", "center": _vector(rng, 0.5), "normal": _vector(rng), "radius": float(rng.uniform(0.3, 1))},
+        {
+            "type": "disc",
+            "center": _vector(rng, 0.5),
+            "normal": _vector(rng),
+            "radius": float(rng.uniform(0.3, 1)),
+        },
         {"type": "quad", "origin": _vector(rng), "u": _vector(rng), "v": _vector(rng)},
         _mesh(rng, deform),
     ]
@@ -91,15 +100,20 @@ def _scene(seed: int, kind: str, deform: bool, instances: bool, planes: bool) ->
                 model["transform"].append({"scale": 0.3})
         shapes += [{"type": "instance", "prototype": p, "transform": _transform(rng, kind)} for p in "abab"]
     if planes:
-        shapes.append({"type": "plane", "point": _vector(rng), "normal": _vector(rng), "transform": _transform(rng, kind)})
+        shapes.append(
+            {
+                "type": "plane",
+                "point": _vector(rng),
+                "normal": _vector(rng),
+                "transform": _transform(rng, kind),
+            }
+        )
     camera = {
         "type": "perspective",
         "shutter": {"open": SHUTTER[0], "close": SHUTTER[1]},
         "transform": [{"translate": [0.5, 0.25, 3.0]}],
     }
-    return Scene.model_validate(
-        {"version": 1, "camera": camera, "shapes": shapes, "prototypes": prototypes}
-    )
+    return Scene.model_validate({"version": 1, "camera": camera, "shapes": shapes, "prototypes": prototypes})
 
 
 CASES = [
@@ -128,8 +142,14 @@ def test_hits_are_those_of_brute_force(
         rays = kit.rays(origins, aims / np.linalg.norm(aims, axis=1, keepdims=True), time=time)
         answers = probe.trace(geometry, rays)
         d = rays[:, 3:6].astype(np.float64)
-        truth = oracle.nearest(scene, rays[:, :3].astype(np.float64) + anchor, d, FRAME + float(np.float32(time)))
-        clear = ~truth.doubtful & ((truth.second > truth.t * (1 + 1e-4)) | ~np.isfinite(truth.t)) & ~(truth.t < 1e-3)
+        truth = oracle.nearest(
+            scene, rays[:, :3].astype(np.float64) + anchor, d, FRAME + float(np.float32(time))
+        )
+        clear = (
+            ~truth.doubtful
+            & ((truth.second > truth.t * (1 + 1e-4)) | ~np.isfinite(truth.t))
+            & ~(truth.t < 1e-3)
+        )
         got = np.where(answers["kind"] == kit.NONE, np.inf, answers["t"].astype(np.float64))
         met = np.isfinite(truth.t)
         assert ((np.isfinite(got)) == met)[clear].all()
@@ -139,8 +159,13 @@ def test_hits_are_those_of_brute_force(
         cosine = np.abs(np.einsum("ij,ij->i", d, truth.normal))
         distance = np.where(both, truth.t, 0.0)
         assert (np.abs(np.where(both, got, 0.0) - distance) * cosine <= 1e-5 * (10.0 + distance)).all()
-        # the point is as near to the true surface as it says itself, but for the rounding of the scene to float32
-        off = np.einsum("ij,ij->i", np.where(both[:, None], answers["p"], 0.0) - rays[:, :3] - distance[:, None] * d, truth.normal)
+        # the point is as near to the true surface as it says itself, but for the rounding of the scene to
+        # float32
+        off = np.einsum(
+            "ij,ij->i",
+            np.where(both[:, None], answers["p"], 0.0) - rays[:, :3] - distance[:, None] * d,
+            truth.normal,
+        )
         bound = np.einsum("ij,ij->i", answers["p_error"], np.abs(truth.normal))
         assert (np.abs(off) <= bound + SCENE_ROUNDING)[both].all()
         assert (np.einsum("ij,ij->i", answers["ng"], truth.normal)[both] > 0.999).all()

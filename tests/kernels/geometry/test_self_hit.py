@@ -1,4 +1,5 @@
-"""Rays that leave a surface neither meet it again nor pass through what it closes off (hard cases 4, 5, 6, 7)."""
+"""Rays that leave a surface neither meet it again nor pass through what it closes off (hard cases 4, 5, 6,
+7)."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-RAYS = 50_000
+RAYS = 30_000
 
 
 def _leaving(answers: Any, rng: np.random.Generator, kit: Any, side: float, time: Any = 0.0) -> Any:
@@ -46,6 +47,32 @@ def test_a_ray_never_meets_the_triangle_that_it_leaves(
     assert met > RAYS // 4
 
 
+@pytest.mark.parametrize("thin", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("offset", [0.0, 10.0])
+def test_a_ray_never_meets_the_needle_that_it_leaves(
+    probe: Any, kit: Any, thin: float, offset: float
+) -> None:
+    """Rays along a needle: edge functions whose relative error is not small let thousands of them meet it
+    again."""
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        along, across = kit.directions(rng, 2)
+        start = rng.normal(size=3) + offset * kit.directions(rng, 1)[0]
+        corners = np.array([start, start + along, start + 0.4 * along + thin * across])
+        meshes = kit.Meshes()
+        geometry = kit.compiled([meshes.add(corners, [[0, 1, 2]])], meshes)
+        targets = rng.dirichlet((1, 1, 1), RAYS // 2) @ geometry.arrays["positions"].astype(np.float64)
+        origins = targets + kit.directions(rng, len(targets)) * 2
+        answers = probe.trace(geometry, kit.rays(origins, targets - origins), 1.0)
+        hit = answers[answers["kind"] == kit.TRIANGLE]
+        assert len(hit) > RAYS // 10
+        leaving = _leaving(hit, rng, kit, 1.0)
+        d = 1e-3 * kit.directions(rng, len(hit)) + along * rng.choice([-1, 1], len(hit))[:, None]
+        d *= np.where(np.einsum("ij,ij->i", d, hit["ng"]) < 0, -1.0, 1.0)[:, None]
+        leaving[::3, 3:6] = d[::3]
+        assert np.count_nonzero(probe.trace(geometry, leaving)["kind"] != kit.NONE) == 0
+
+
 @pytest.mark.parametrize("shape", ["sphere", "disc", "plane"])
 @pytest.mark.parametrize("size", [1e-6, 1e-2, 1.0, 1e3, 1e6])
 @pytest.mark.parametrize("offset", [0.0, 10.0, 1e4])
@@ -77,7 +104,9 @@ def test_a_ray_into_a_sphere_comes_out_at_the_far_side(probe: Any, kit: Any, siz
     rng = np.random.default_rng(7)
     geometry = kit.compiled([{"type": "sphere", "radius": size}])
     origins = kit.directions(rng, RAYS) * 4 * size
-    answers = probe.trace(geometry, kit.rays(origins, -origins + rng.normal(size=(RAYS, 3)) * 0.3 * size), -1.0)
+    answers = probe.trace(
+        geometry, kit.rays(origins, -origins + rng.normal(size=(RAYS, 3)) * 0.3 * size), -1.0
+    )
     hit = answers[answers["kind"] != kit.NONE]
     inside = _leaving(hit, rng, kit, -1.0)
     again = probe.trace(geometry, inside)
@@ -129,7 +158,9 @@ def test_a_ray_never_meets_the_instance_that_it_leaves(
 
 @pytest.mark.parametrize(("size", "offset"), [(1.0, 0.0), (1e-6, 0.0), (1.0, 1e3), (1.0, 1e4), (1e4, 1.0)])
 @pytest.mark.parametrize("far", [0.0, 1e6, 1e9])
-def test_nothing_leaks_out_of_a_closed_box(probe: Any, kit: Any, size: float, offset: float, far: float) -> None:
+def test_nothing_leaks_out_of_a_closed_box(
+    probe: Any, kit: Any, size: float, offset: float, far: float
+) -> None:
     """Bounces from wall to wall inside a box: every ray meets a wall, whatever the box's size and place.
 
     offset: from the anchor; far: how far the camera and the box stand from the scene's origin.
@@ -137,7 +168,9 @@ def test_nothing_leaks_out_of_a_closed_box(probe: Any, kit: Any, size: float, of
     if size < far * 2.0**-50:
         pytest.skip("smaller than the spacing of doubles there")
     rng = np.random.default_rng(9)
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64) * size + offset
+    corners = (
+        np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64) * size + offset
+    )
     faces = []
     for a, b, c, d in ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)):
         faces += [[a, c, b], [a, d, c]]  # normals inwards

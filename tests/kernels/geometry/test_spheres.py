@@ -26,7 +26,8 @@ def test_a_far_sphere_is_met_where_it_is(probe: Any, kit: Any, distance: float, 
 
 
 def test_a_planet_underfoot_is_met_at_the_right_distance(probe: Any, kit: Any) -> None:
-    """r = 1e6, eye 1 m above it, down to grazing: t within 4 ulp of the distance to the center, over the cosine."""
+    """r = 1e6, eye 1 m above it, down to grazing: t within 4 ulp of the distance to the center, over the
+    cosine."""
     rng = np.random.default_rng(2)
     r = 1e6
     geometry = kit.compiled([{"type": "sphere", "center": [0, -r - 1, 0], "radius": r}])
@@ -44,4 +45,6 @@ def test_a_planet_underfoot_is_met_at_the_right_distance(probe: Any, kit: Any) -
     assert (answers["ng"][:, 1] > 0.99).all()
     # towards a low sun: no shadow of the ground itself
     sun = kit.unit([1.0, 0.01, 0.0])
-    assert not probe.trace(geometry, kit.rays(answers["origin"], np.broadcast_to(sun, d.shape)))["occluded"].any()
+    assert not probe.trace(geometry, kit.rays(answers["origin"], np.broadcast_to(sun, d.shape)))[
+        "occluded"
+    ].any()

@@ -78,7 +78,9 @@ def test_no_ray_leaves_a_closed_mesh(probe: Any, kit: Any, scale: float, target:
 
 
 @pytest.mark.parametrize("distance", [1e-3, 3.0, 1e3])
-def test_no_ray_slips_through_the_edges_of_an_axis_parallel_grid(probe: Any, kit: Any, distance: float) -> None:
+def test_no_ray_slips_through_the_edges_of_an_axis_parallel_grid(
+    probe: Any, kit: Any, distance: float
+) -> None:
     rng = np.random.default_rng(3)
     vertices, faces = _grid(32)
     meshes = kit.Meshes()
@@ -99,7 +101,8 @@ def test_no_ray_slips_through_the_edges_of_an_axis_parallel_grid(probe: Any, kit
 
 
 def test_axis_parallel_rays_on_slab_planes_hit_what_brute_force_hits(probe: Any, kit: Any) -> None:
-    """Zeros of either sign in the direction, origins in the planes of boxes: the same hit as without a tree."""
+    """Zeros of either sign in the direction, origins in the planes of boxes: the same hit as without a
+    tree."""
     rng = np.random.default_rng(4)
     vertices, faces = _grid(8)
     meshes = kit.Meshes()
