@@ -22,7 +22,7 @@ from scipy.special import stdtrit
 from penumbra_service.film import flags
 from penumbra_service.film.grid import FLAG_BLOCK, block_starts
 
-LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 """Rec.709."""
 OUTLIER_LEVEL: Final = 1e-4
 """Chance that Grubbs' test flags a pixel with normal replicate means: 0.6 % of calm 8x8 blocks."""
@@ -61,13 +61,14 @@ class PixelStatistics:
 def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = False) -> PixelStatistics:
     """Statistics of a tile's sums (replicates, height, width) of SUM or SUM64, which hold all of its
     samples."""
-    taken = sums["taken"]
-    counts = (taken > 0).sum(axis=0)
-    divisor = np.maximum(taken, 1)[..., None]
-    means = sums["rgba"].astype(np.float64) / divisor
-    there = (taken > 0)[..., None]
+    taken = np.ascontiguousarray(sums["taken"])
+    there = taken > 0
+    counts = there.sum(axis=0)
+    means = sums["rgba"] / np.maximum(taken, 1).astype(np.float64)[..., None]
     mean = means.sum(axis=0) / np.maximum(counts, 1)[..., None]
-    deviations = np.where(there, means - mean, 0.0)
+    deviations = np.subtract(means, mean, out=means)
+    if not there.all():
+        deviations[~there] = 0.0
     variance = _variance(deviations, counts, deterministic)
     share, calm = _largest_share(deviations, mean)
     return PixelStatistics(
@@ -94,13 +95,19 @@ def _variance(deviations: NDArray[Any], counts: NDArray[Any], deterministic: boo
 def _largest_share(
     deviations: NDArray[Any], mean: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    luminance = deviations[..., :3] @ LUMINANCE
-    squares = luminance * luminance
+    squares = np.square(_luminance(deviations))
     total = squares.sum(axis=0)
     largest = squares.max(axis=0)
-    calm = np.sqrt(largest) <= ROUNDING * np.abs(mean[..., :3] @ LUMINANCE)
+    calm = np.sqrt(largest) <= ROUNDING * np.abs(_luminance(mean))
     share = np.divide(largest, total, out=np.zeros_like(total), where=total > 0)
     return share, calm
+
+
+def _luminance(rgba: NDArray[Any]) -> NDArray[np.float64]:
+    """Written out, since a matrix product's bits depend on the machine's BLAS."""
+    red, green, blue = LUMINANCE
+    result: NDArray[np.float64] = rgba[..., 0] * red + rgba[..., 1] * green + rgba[..., 2] * blue
+    return result
 
 
 @functools.cache
