@@ -10,26 +10,41 @@ from typing import Final
 
 CL_ROOT: Final = Path(__file__).parent / "cl"
 
+_IF: Final = re.compile(r"^\s*#\s*if")
+_ENDIF: Final = re.compile(r"^\s*#\s*endif")
 _INCLUDE: Final = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 
 BUILD_OPTIONS: Final = ("-cl-std=CL1.2",)
 """The same for every program. No fast-math of any kind: error bounds and equal bits depend on IEEE arithmetic."""
 
 
-def flatten(text: str, name: str, seen: set[str]) -> str:
-    """Inline every `#include "path"` (relative to cl/) once, keeping file names and lines for error messages."""
+def flatten(text: str, name: str, unconditional: set[str], depth: int = 0) -> str:
+    """Inline every `#include "path"` (relative to cl/), keeping file names and lines for error messages.
+
+    unconditional: files whose text stands outside every #if so far; they are not written again. A file that is reached
+    inside an #if is written there under a guard, since that text may be compiled away.
+    depth: #if blocks around this text.
+    """
     out = [f'#line 1 "{name}"']
     for number, line in enumerate(text.splitlines(), start=1):
+        depth += bool(_IF.match(line)) - bool(_ENDIF.match(line))
         match = _INCLUDE.match(line)
         if not match:
             out.append(line)
             continue
-        path = match.group(1)
-        if path not in seen:
-            seen.add(path)
-            out.append(flatten((CL_ROOT / path).read_text(), path, seen))
+        out.append(_included(match.group(1), unconditional, depth))
         out.append(f'#line {number + 1} "{name}"')
     return "\n".join(out)
+
+
+def _included(path: str, unconditional: set[str], depth: int) -> str:
+    if path in unconditional:
+        return ""
+    if depth == 0:
+        unconditional.add(path)
+    guard = "PENUMBRA_HAS_" + re.sub(r"\W", "_", path).upper()
+    text = flatten((CL_ROOT / path).read_text(), path, unconditional, depth)
+    return f"#if !{guard}\n#define {guard} 1\n{text}\n#endif"
 
 
 def assemble(entry: str, flags: Mapping[str, int], text: str | None = None) -> str:

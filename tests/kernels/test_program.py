@@ -1,0 +1,79 @@
+"""Assembling programs: includes, guards, flags, the generated header."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from penumbra_kernels import layout
+from penumbra_kernels.device import BuildError, Device
+from penumbra_kernels.program import CL_ROOT, assemble
+from penumbra_kernels.tracer import ARGUMENTS
+
+
+def test_a_file_hidden_by_one_condition_is_there_for_another(device: Device) -> None:
+    text = """
+#if PENUMBRA_A
+#include "base/transcendental.cl"
+#endif
+#include "base/math.cl"
+#include "base/transcendental.cl"
+__kernel void k(__global float *out) { out[0] = exp_f(0.0f) + PI_F; }
+"""
+    for a in (0, 1):
+        program = device.build("test", {"PENUMBRA_A": a}, text)
+        out = np.zeros(4, np.float32)
+        buffer = device.allocate(16)
+        device.launch(program.k, [buffer], 1, 1)
+        device.download(buffer, out)
+        assert out[0] == pytest.approx(1 + np.pi)
+
+
+def test_errors_name_our_files_and_lines(device: Device) -> None:
+    with pytest.raises(BuildError, match=r"mine:2"):
+        device.build("mine", {}, "\nfloat broken(;\n__kernel void k(__global float *out) {}")
+
+
+@pytest.mark.parametrize("flags", [{"PENUMBRA_X": "1); evil("}, {"EVIL": 1}, {"PENUMBRA_x y": 1}])
+def test_only_numbers_under_known_names_reach_a_compiler(flags: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="flags are PENUMBRA_"):
+        assemble("trace.cl", flags)  # type: ignore[arg-type]
+
+
+def test_effects_are_gated_by_value_never_by_existence() -> None:
+    for path in CL_ROOT.rglob("*.cl"):
+        text = path.read_text()
+        for name in re.findall(r"#\s*(?:ifdef|ifndef)\s+(\w+)", text):
+            assert name == "PENUMBRA_BUILTINS", f"{path.name}: #ifdef {name}"
+
+
+def test_the_committed_header_is_the_generated_one() -> None:
+    assert layout.HEADER.read_text() == layout.header()
+
+
+@pytest.mark.parametrize("name", layout.STRUCTS)
+def test_the_device_lays_structs_out_as_the_host_does(device: Device, name: str) -> None:
+    dtype = layout.STRUCTS[name]
+    assert dtype.names is not None
+    assert dtype.fields is not None
+    offsets = "\n".join(
+        f"out[{i + 1}] = (uint)((const __global char *)&s->{field} - (const __global char *)s);"
+        for i, field in enumerate(dtype.names)
+    )
+    text = f"""
+#include "layout.h"
+__kernel void k(const __global {name} *s, __global uint *out) {{ out[0] = sizeof({name}); {offsets} }}
+"""
+    program = device.build(f"layout of {name}", {}, text)
+    out = np.zeros(len(dtype.names) + 4, np.uint32)
+    buffer, source = device.allocate(out.nbytes), device.allocate(dtype.itemsize)
+    device.launch(program.k, [source, buffer], 1, 1)
+    device.download(buffer, out)
+    expected = [dtype.itemsize, *(dtype.fields[field][1] for field in dtype.names)]
+    assert out[: len(expected)].tolist() == expected
+
+
+def test_arguments_are_named_once() -> None:
+    names = [name for name, _ in ARGUMENTS]
+    assert len(names) == len(set(names))
