@@ -26,12 +26,12 @@ def test_small_films(width: int, height: int) -> None:
 @pytest.mark.parametrize("side", [1, 7, 16])
 def test_any_tile_gets_the_same_counts(side: int) -> None:
     whole = counts(9, 40, 30, Tile(0, 0, 40, 30), 2, 0, 4)
-    for y in range(0, 30, side):
-        for x in range(0, 40, side):
-            tile = Tile(x, y, min(side, 40 - x), min(side, 30 - y))
-            part = counts(9, 40, 30, tile, 2, 2, 1)
-            expected = whole[:, 2:3, y : y + tile.height, x : x + tile.width]
-            np.testing.assert_array_equal(part, expected)
+    corners = [(x, y) for y in range(0, 30, side) for x in range(0, 40, side)]
+    for x, y in corners[:: 37 if side == 1 else 1]:
+        tile = Tile(x, y, min(side, 40 - x), min(side, 30 - y))
+        part = counts(9, 40, 30, tile, 2, 2, 1)
+        expected = whole[:, 2:3, y : y + tile.height, x : x + tile.width]
+        np.testing.assert_array_equal(part, expected)
 
 
 def test_keys_matter() -> None:
