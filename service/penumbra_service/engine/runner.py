@@ -24,7 +24,7 @@ from penumbra_scene.job import JobState, Progress, StopReason
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine import snapshot
-from penumbra_service.engine.progress import Forecast, forecast, progress_of
+from penumbra_service.engine.progress import Now, forecast, progress_of
 from penumbra_service.engine.protocol import (
     DeviceDescription,
     Engine,
@@ -246,7 +246,6 @@ class JobRunner:
         self._preview = Preview(self._window)
         self._summaries: dict[Tile, TileSummary] = {}
         self._clock_started: float | None = None
-        self._forecast: Forecast | None = None
         self._share = 0.0
         self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
@@ -493,7 +492,6 @@ class JobRunner:
         self._record.points.append(Point(samples, seconds, error.relmse, upper, error.deviation, error.mse))
         self._record.counts = _counts(summaries)
         reason = self._batches.check(seconds, error)
-        self._forecast = forecast(self._rule, self._record.points, self._batches.rate_seconds(self._rate()))
         if reason is None:
             self._foretell()
             self._save()
@@ -503,12 +501,14 @@ class JobRunner:
         return reason
 
     def _foretell(self) -> None:
-        record, told = self._record, self._forecast
-        if record.foretold is not None or told is None:
+        record = self._record
+        if record.foretold is not None:
             return
         if self._rule.relative_error is not None and not fit_theta(record.points).points:
             return
-        record.foretold = Foretold(record.points[-1].samples, told.samples, told.seconds)
+        told = forecast(self._rule, record.points, self._now())
+        if told is not None:
+            record.foretold = Foretold(record.points[-1].samples, told.samples, told.seconds)
 
     def _start_clock(self) -> None:
         if self._clock_started is None:
@@ -536,15 +536,20 @@ class JobRunner:
         )
         return missing / (self._window.width * self._window.height) / rate
 
+    def _now(self) -> Now:
+        rate = self._rate()
+        done = self._samples_done / (self._window.width * self._window.height)
+        return Now(done, self._seconds(), 1 / (rate * self._layout.replicates) if rate else None)
+
     def _tell(self, force: bool = False) -> None:
         """Progress and preview, if it is time."""
         now = time.monotonic()
         if not force and now < self._last_progress + PROGRESS_SECONDS:
             return
         self._last_progress = now
-        seconds = self._seconds()
-        done = self._samples_done / (self._window.width * self._window.height)
-        progress = progress_of(self._rule, self._record, self._forecast, done, seconds, self._share)
+        standing = self._now()
+        told = forecast(self._rule, self._record.points, standing)
+        progress = progress_of(self._rule, self._record, told, standing, self._share)
         self._share = progress.progress
         news = (self._life.state, progress)
         if news != self._told:

@@ -110,10 +110,6 @@ class Batches:
             self.settled = self.checked
         return self.settled
 
-    def rate_seconds(self, rate: float | None) -> float | None:
-        """Seconds per sample a pixel at `rate` samples a replicate per second."""
-        return None if not rate else 1 / (rate * self.rule.replicates)
-
     def seconds_left(self, seconds: float, open_samples: float, rate: float | None) -> float | None:
         """Of the time rule after all open work is done. open_samples: samples a replicate of the whole
         picture."""
