@@ -82,7 +82,7 @@ def _half_area(box):
 
 @jit
 def _best_of_axis(bins, bin_lo, bin_hi, bin_count, box, right_cost, right_count):
-    """Least cost over the borders between bins, infinite where none splits, and the first bin on its right."""
+    """Least cost over the borders between bins (infinite: none splits), and the first bin on its right."""
     box[0, :] = np.inf
     box[1, :] = -np.inf
     total = 0

@@ -174,7 +174,7 @@ def _collapse(
     positions, keyframe = np.empty((packets, 8), np.int32), np.empty(packets, np.int32)
     stack = write(
         table, first_child, tree.lo, tree.hi, tree.first, tree.count, items.lo, items.hi, tree.order,
-        item_key, items.word, copies, is_leaf, key, node_base, packet_base, flat, flat.view(np.uint32), positions,
-        keyframe, np.zeros(slots, np.int64),
+        item_key, items.word, copies, is_leaf, key, node_base, packet_base, flat, flat.view(np.uint32),
+        positions, keyframe, np.zeros(slots, np.int64),
     )  # fmt: skip
     return Tree(nodes, node_base, tree.order[positions], keyframe, int(stack))

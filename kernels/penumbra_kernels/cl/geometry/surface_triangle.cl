@@ -90,12 +90,12 @@ static inline float3 vertex_normal(const SceneData *scene, const __global Triang
   return interpolate(n[0], n[1], n[2], weight);
 }
 
-// Towards the centroid by twice the error: within an error of an edge, rounding may have put the point beyond the wall
+// Towards the centroid by twice its rounding: that near to an edge, rounding may have put the point beyond the wall
 // that stands there, and a ray from it would leave the room. In the triangle's plane, so the error across it stays.
-static inline float3 pulled_inside(const float3 p, const float3 p_error, const float3 v[3]) {
+static inline float3 pulled_inside(const float3 p, const float3 rounding, const float3 v[3]) {
   const float3 inwards = (v[0] + v[1] + v[2]) * (1.0f / 3.0f) - p;
   const float away = max3(abs3(inwards));
-  const float error = 2.0f * max3(p_error);
+  const float error = 2.0f * max3(rounding);
   return error < away ? p + inwards * (error / away) : p + inwards;
 }
 
@@ -114,8 +114,9 @@ static inline void triangle_surface(const SceneData *scene, const Hit *hit, cons
   // on position, hence its own term in every direction.
   const float3 terms = interpolate(abs3(v[0]), abs3(v[1]), abs3(v[2]), abs3(weight));
   const float3 reach = MAX(MAX(abs3(v[0] - s->p), abs3(v[1] - s->p)), abs3(v[2] - s->p));
-  s->p_error = GAMMA(10) * terms + (float3)(GAMMA(16) * max3(reach));
-  s->p = pulled_inside(s->p, s->p_error, v);
+  const float3 rounding = GAMMA(10) * terms;
+  s->p_error = rounding + (float3)(GAMMA(16) * max3(reach));
+  s->p = pulled_inside(s->p, rounding, v);
   const float3 n = winding_normal(v);
   s->ng = shape->flags & SHAPE_FLIP ? -n : n;
   s->ns = vertex_normal(scene, triangle, shape, time, weight);
