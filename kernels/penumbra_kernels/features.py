@@ -177,8 +177,17 @@ def _delta_lights(scene: Scene, time: float) -> Iterable[str]:
         yield f"{_where('lights', i, light.name)} is a {light.type} light"
 
 
+def _emitter_count(scene: Scene) -> int:
+    """Area lights: every placed copy of an emitting prototype is one."""
+    count = 0
+    for shape in scene.shapes:
+        parts = scene.prototypes.get(shape.prototype, ()) if isinstance(shape, Instance) else (shape,)
+        count += sum(not isinstance(part, (Plane, Instance)) and part.emission is not None for part in parts)
+    return count
+
+
 def _many_lights(scene: Scene, time: float) -> Iterable[str]:
-    count = len(list(_emitters(scene))) + len(scene.lights) + (scene.environment is not None)
+    count = _emitter_count(scene) + len(scene.lights) + (scene.environment is not None)
     if count > 1:
         yield f"there are {count} lights to choose from"
 

@@ -32,8 +32,9 @@ EVERYTHING = {
 
 SCENE_ARGUMENTS = (
     "const __global Light *lights, const __global Alias *light_table, const __global float *emitter_cdf, "
-    "const __global float4 *environment, const __global Instance *instances, const __global Keyframe *keyframes, "
-    "const __global ShapeData *shapes, const __global TriangleData *triangles, const __global float *positions, "
+    "const __global float4 *environment, const __global Instance *instances, "
+    "const __global Keyframe *keyframes, const __global ShapeData *shapes, "
+    "const __global TriangleData *triangles, const __global float *positions, "
     "const uint light_count, const uint environment_light"
 )
 
@@ -46,14 +47,15 @@ static inline SceneData scene_of(ARGUMENTS) {
   s.positions = positions; s.light_count = light_count; s.environment_light = environment_light;
   return s;
 }
-#define SCENE scene_of(lights, light_table, emitter_cdf, environment, instances, keyframes, shapes, triangles, positions, \\
-                       light_count, environment_light)
+#define SCENE scene_of(lights, light_table, emitter_cdf, environment, instances, keyframes, shapes, \\
+                       triangles, positions, light_count, environment_light)
 __kernel void sample(__global float *out, const __global float *p, const __global float *u, const uint light,
                      const float time, ARGUMENTS) {
   const size_t i = get_global_id(0);
   const SceneData scene = SCENE;
   LightSample s;
-  const bool ok = light_sample(&scene, light, load3(p + 3 * i), time, u[3 * i + 2], (float2)(u[3 * i], u[3 * i + 1]), &s);
+  const float2 u2 = (float2)(u[3 * i], u[3 * i + 1]);
+  const bool ok = light_sample(&scene, light, load3(p + 3 * i), time, u[3 * i + 2], u2, &s);
   __global float *o = out + 20 * i;
   for (int k = 0; k < 20; ++k) o[k] = 0.0f;
   if (!ok) return;
@@ -62,9 +64,9 @@ __kernel void sample(__global float *out, const __global float *p, const __globa
   o[8] = s.p.x; o[9] = s.p.y; o[10] = s.p.z; o[11] = s.delta ? 2.0f : 1.0f;
   o[12] = s.n.x; o[13] = s.n.y; o[14] = s.n.z; o[15] = s.p_error.x; o[16] = s.p_error.y; o[17] = s.p_error.z;
 }
-__kernel void hit_pdf(__global float *out, const __global float *p, const __global float *wi, const __global float *ng,
-                      const __global float *distance, const __global uint *primitive, const uint light,
-                      const float time, ARGUMENTS) {
+__kernel void hit_pdf(__global float *out, const __global float *p, const __global float *wi,
+                      const __global float *ng, const __global float *distance,
+                      const __global uint *primitive, const uint light, const float time, ARGUMENTS) {
   const size_t i = get_global_id(0);
   const SceneData scene = SCENE;
   Surface hit;
@@ -72,8 +74,8 @@ __kernel void hit_pdf(__global float *out, const __global float *p, const __glob
   hit.primitive = primitive[i];
   out[i] = light_hit_pdf(&scene, light, load3(p + 3 * i), &hit, load3(wi + 3 * i), distance[i], time);
 }
-__kernel void emitted(__global float *out, const __global float *wo, const __global float *ng, const uint shape,
-                      ARGUMENTS) {
+__kernel void emitted(__global float *out, const __global float *wo, const __global float *ng,
+                      const uint shape, ARGUMENTS) {
   const size_t i = get_global_id(0);
   const SceneData scene = SCENE;
   Surface hit;
@@ -259,7 +261,7 @@ class Bench:
 
     @staticmethod
     def chi2_pvalue(counts: Array, expected: Array) -> float:
-        """P-value of Pearson's test; bins of fewer than 10 expected are pooled. counts and expected sum to the same."""
+        """P-value of Pearson's test; bins of fewer than 10 expected are pooled. Both sum to the same."""
         c, e = np.ravel(counts).astype(float), np.ravel(expected).astype(float)
         assert c[e == 0].sum() == 0, "samples where the density is zero"
         order = np.argsort(-e)

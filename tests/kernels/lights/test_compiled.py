@@ -1,4 +1,4 @@
-"""Lights from scene to device: records, powers, the choice; shadow rays that reach their light and hits that know it."""
+"""Lights from scene to device: records, powers, the choice; shadow rays reach their light, hits know it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from penumbra_kernels.assets import NoAssets
 from penumbra_kernels.compile.extent import scene_radius
 from penumbra_kernels.compile.geometry import compile_geometry
 from penumbra_kernels.compile.lights import compile_lights
+from penumbra_kernels.features import analyse
 from penumbra_kernels.layout import CONSTANTS
 from penumbra_scene.scene import Scene
 
@@ -32,7 +33,13 @@ def compiled(scene: Scene, anchor=(0.0, 0.0, 0.0)):
 SHAPES = [
     {"type": "sphere", "center": [0, 5, 0], "radius": 0.5},
     {"type": "quad", "origin": [-1, 3, -1], "u": [1, 0, 0], "v": [0, 0, 1], "emission": GLOW},
-    {"type": "disc", "center": [3, 2, 0], "normal": [-1, 0, 0], "radius": 0.7, "emission": {**GLOW, "two_sided": True}},
+    {
+        "type": "disc",
+        "center": [3, 2, 0],
+        "normal": [-1, 0, 0],
+        "radius": 0.7,
+        "emission": {**GLOW, "two_sided": True},
+    },
     {"type": "sphere", "center": [0, 2, 3], "radius": 0.4, "emission": GLOW},
     {
         "type": "mesh",
@@ -68,7 +75,7 @@ def test_records_shapes_and_powers_belong_together() -> None:
     assert np.allclose(np.diff(lights.arrays["emitter_cdf"]), [1 / 3, 2 / 3], atol=1e-6)
 
 
-@pytest.mark.parametrize("selection, expected", [("uniform", [0.5, 0, 0.5]), ("power", [0.75, 0, 0.25])])
+@pytest.mark.parametrize(("selection", "expected"), [("uniform", [0.5, 0, 0.5]), ("power", [0.75, 0, 0.25])])
 def test_lights_without_power_are_never_chosen(selection: str, expected: list[float]) -> None:
     lights = [{"type": "point", "intensity": i} for i in (3, 0, 1)]
     _, result = compiled(scene_of(lights=lights, integrator={"light_selection": selection}))
@@ -100,21 +107,22 @@ def test_scene_radius_covers_everything() -> None:
 
 
 def test_every_copy_of_an_emitting_prototype_is_a_light() -> None:
+    lamp = {"type": "instance", "prototype": "lamp"}
     scene = scene_of(
         prototypes={"lamp": [{**SHAPES[1]}, {**SHAPES[0]}]},
-        shapes=[
-            {"type": "instance", "prototype": "lamp", "transform": [{"translate": [x, 0, 0]}]} for x in (0, 10, 20)
-        ],
+        shapes=[{**lamp, "transform": [{"translate": [x, 0, 0]}]} for x in (0, 10, 20)],
     )
     geometry, lights = compiled(scene)
     assert lights.light_count == 3
+    assert "many_lights" in analyse(scene)
     assert np.allclose(np.sort(lights.arrays["lights"]["position"][:, 0]), [-1, 9, 19])
     emitting = geometry.arrays["shapes"]["light"]
     assert sorted(emitting[emitting != NONE].tolist()) == [0, 1, 2]
 
 
 def test_moving_lights_without_a_body_get_their_own_keyframes() -> None:
-    move = {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": [{"translate": [1, 0, 0]}]}]}
+    steps = [[], [{"translate": [1, 0, 0]}]]
+    move = {"keyframes": [{"time": i, "transform": step} for i, step in enumerate(steps)]}
     scene = scene_of(
         camera={"type": "perspective", "shutter": {"open": 0, "close": 1}},
         shapes=[{**SHAPES[0], "transform": move}],
@@ -143,7 +151,8 @@ __kernel void aim_at(__global float *out, const __global float *p, const __globa
   const size_t i = get_global_id(0);
   SceneData s;
   s.nodes = nodes; s.packets = packets; s.shapes = shapes; s.triangles = triangles; s.positions = positions;
-  s.normals = normals; s.uvs = uvs; s.spheres = spheres; s.discs = discs; s.planes = planes; s.instances = instances;
+  s.normals = normals; s.uvs = uvs; s.spheres = spheres; s.discs = discs; s.planes = planes;
+  s.instances = instances;
   s.keyframes = keyframes; s.times = times; s.lights = lights; s.emitter_cdf = emitter_cdf;
   s.root = root; s.light_count = light_count; s.environment_light = NONE; s.plane_count = 0u;
   const uint light = (uint)(i % light_count);
@@ -168,12 +177,15 @@ __kernel void aim_at(__global float *out, const __global float *p, const __globa
 }
 """
 
-FLAGS = {
-    f"PENUMBRA_{name}": 1
-    for name in (
-        "AREA_LIGHTS DELTA_LIGHTS MANY_LIGHTS ENVIRONMENT ENVIRONMENT_IMAGE MOTION INSTANCING ROUND DEFORMATION"
-    ).split()
-}
+BUFFERS = (
+    *("nodes", "packets", "shapes", "triangles", "positions", "normals", "uvs", "spheres", "discs", "planes"),
+    *("instances", "keyframes", "times", "lights", "emitter_cdf"),
+)
+"""In the order of the kernel's arguments."""
+EFFECTS = (
+    "AREA_LIGHTS DELTA_LIGHTS MANY_LIGHTS ENVIRONMENT ENVIRONMENT_IMAGE MOTION INSTANCING ROUND DEFORMATION"
+)
+FLAGS = {f"PENUMBRA_{name}": 1 for name in EFFECTS.split(" ")}
 
 STRETCH = [{"scale": [1.0, 0.4, 1.5]}, {"rotate": {"axis": [1, 1, 0], "angle": 25}}]
 MIRROR = [{"scale": [-1, 1, 1]}]
@@ -212,8 +224,7 @@ def aim(request, device):
     def run(scene: Scene, anchor, points: np.ndarray, u: np.ndarray, time: float) -> np.ndarray:
         geometry, lights = compiled(scene, anchor)
         arrays = {**geometry.arrays, **lights.arrays, "keyframes": geometry.keyframes}
-        names = "nodes packets shapes triangles positions normals uvs spheres discs planes instances keyframes times"
-        buffers = [device.upload(arrays[n]) for n in [*names.split(), "lights", "emitter_cdf"]]
+        buffers = [device.upload(arrays[name]) for name in BUFFERS]
         out = np.empty((len(points), 6), np.float32)
         target = device.allocate(out.nbytes)
         numbers = [device.upload(np.asarray(a, np.float32)) for a in (points, u)]
@@ -227,12 +238,13 @@ def aim(request, device):
 
 @pytest.mark.parametrize("name", CASES)
 def test_shadow_rays_stop_short_of_their_light_and_lobe_rays_find_it(aim, name: str) -> None:
-    """With nothing but lights in the scene: no light shadows itself; the ray along a sample's direction meets that light
-    (or one in front), and the density told for the hit is the sample's."""
+    """With nothing but lights in the scene: no light shadows itself; the ray along a sample's direction meets
+    that light (or one in front), and the density told for the hit is the sample's."""
     scene, anchor = CASES[name]
     count = 40_000
     rng = np.random.default_rng(61)
-    points = rng.normal(0, 4, (count, 3)) + np.array([0, 2, 0]) + ((np.array(FAR) - anchor) if "far" in name else 0)
+    middle = np.array([0, 2, 0]) + (np.array(FAR) - anchor if "far" in name else 0)
+    points = rng.normal(0, 4, (count, 3)) + middle
     u = (rng.integers(0, 1 << 24, (count, 3)) * 2.0**-24).astype(np.float32)
     out = aim(scene, anchor, points, u, 0.6)
     light = np.arange(count) % 4 + 1

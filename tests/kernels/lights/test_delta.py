@@ -88,10 +88,17 @@ def test_motion_carries_the_light_along(bench, kind: str) -> None:
         {"time": 0.0, "transform": [{"rotate": {"axis": [0, 0, 1], "angle": 0}}]},
         {"time": 1.0, "transform": [{"rotate": {"axis": [0, 0, 1], "angle": 90}}, {"translate": [2, 0, 0]}]},
     ]
-    transform = PointLight.model_validate({"type": "point", "transform": {"keyframes": steps}}).transform
+    model = PointLight.model_validate({"type": "point", "transform": {"keyframes": steps}})
+    transform = model.transform
     keys = keyframes_of(transform, 0.0, 0.0, 1.0)
     record = bench.light(
-        kind, position=(1, 0, 0), direction=(1, 0, 0), inner=0.1, outer=0.2, first_keyframe=1, keyframe_count=len(keys)
+        kind,
+        position=(1, 0, 0),
+        direction=(1, 0, 0),
+        inner=0.1,
+        outer=0.2,
+        first_keyframe=1,
+        keyframe_count=len(keys),
     )
     scene = bench.scene([record], keyframes=np.concatenate([keys[:1], keys]))
     for time in (0.0, 0.25, 0.5, 1.0):

@@ -23,7 +23,7 @@ def test_irradiance_on_the_axis(bench, distance: float) -> None:
 
 
 def test_irradiance_beside_the_axis(bench) -> None:
-    """Parallel disc of radius r at height h, lit point at distance a from its axis (Howell, C-12 as a point's factor):
+    """Parallel disc of radius r at height h, lit point at distance a from its axis (a point's form factor):
     E = pi / 2 [1 - (h^2 + a^2 - r^2) / sqrt((h^2 + a^2 + r^2)^2 - 4 a^2 r^2)]."""
     a, h, r = 1.3, 0.8, 1.0
     s = bench.sample(disc(bench, (a, 0, h), (0, r, 0), (r, 0, 0)), (0, 0, 0), bench.grid(512))

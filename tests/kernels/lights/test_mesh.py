@@ -43,7 +43,7 @@ TRIANGLE_AT_1 = np.array([[-0.4, 1.0, -0.3], [0.1, 1.1, 0.6], [0.7, 0.9, -0.2]])
 
 @pytest.mark.parametrize("distance", [0.3, 1.0, 5.0, 30.0, 100.0])
 def test_triangle_lights_the_floor_as_its_form_factor_says(bench, distance: float) -> None:
-    corners = TRIANGLE_AT_1 + [0, distance - 1, 0]
+    corners = TRIANGLE_AT_1 + np.array([0, distance - 1, 0])
     scene, _ = mesh(bench, corners, [[0, 2, 1]])
     corners = corners.astype(np.float32).astype(np.float64)
     s = bench.sample(scene, ORIGIN, bench.grid(512))
@@ -58,7 +58,7 @@ def test_triangle_lights_the_floor_as_its_form_factor_says(bench, distance: floa
 @pytest.mark.parametrize("distance", [1e3, 1e4])
 def test_far_triangle_is_its_area_over_the_square_of_the_distance(bench, distance: float) -> None:
     """The first terms of the multipole series, whose error is (size / distance)^2 = 1e-6 or less."""
-    corners = (TRIANGLE_AT_1 + [0, distance - 1, 0]).astype(np.float32).astype(np.float64)
+    corners = (TRIANGLE_AT_1 + np.array([0, distance - 1, 0])).astype(np.float32).astype(np.float64)
     faces = [[0, 1, 2]] if np.cross(corners[1] - corners[0], corners[2] - corners[0])[1] < 0 else [[0, 2, 1]]
     scene, _ = mesh(bench, corners, faces)
     s = bench.sample(scene, ORIGIN, bench.grid(128))
@@ -110,7 +110,8 @@ def test_samples_are_uniform_in_solid_angle(bench, name: str) -> None:
     gi, gj = (x.ravel() for x in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
     p = a + gi[:, None] * e1 + gj[:, None] * e2
     lower_angle, upper_angle = solid_angle(p, p + e1, p + e2), solid_angle(p + e1 + e2, p + e1, p + e2)
-    expected = np.stack([np.where(gi + gj < n, lower_angle, 0), np.where(gi + gj < n - 1, upper_angle, 0)], 1).ravel()
+    halves = [np.where(gi + gj < n, lower_angle, 0), np.where(gi + gj < n - 1, upper_angle, 0)]
+    expected = np.stack(halves, 1).ravel()
     # rounding puts a few points of the slanted side into a part beyond it
     beyond = counts[expected == 0].sum()
     assert beyond <= 1e-3 * count
@@ -186,7 +187,8 @@ def test_a_samples_density_is_that_of_hitting_it(bench, area_bench, name: str, d
 def test_mirrored_winding_emits_on_the_other_side(bench) -> None:
     u = bench.uniform(100, 45)
     for flip in (0, CONSTANTS["SHAPE_FLIP"]):
-        given = [len(bench.sample(mesh(bench, TRIANGLE_AT_1, [f], flip)[0], ORIGIN, u).pdf) for f in ([0, 1, 2], [0, 2, 1])]
+        scenes = [mesh(bench, TRIANGLE_AT_1, [face], flip)[0] for face in ([0, 1, 2], [0, 2, 1])]
+        given = [len(bench.sample(scene, ORIGIN, u).pdf) for scene in scenes]
         assert sorted(given) == [0, 100]
         facing = [0, 1, 2] if given[0] else [0, 2, 1]
         normal = np.cross(*(TRIANGLE_AT_1[facing[i]] - TRIANGLE_AT_1[facing[0]] for i in (1, 2)))

@@ -1,4 +1,4 @@
-"""Sphere lights: irradiance in closed form from contact to a ratio of 1e-4, cone sampling, inside, area sampling."""
+"""Sphere lights: irradiance in closed form down to a ratio of 1e-6, cone sampling, inside, by area."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_inside_a_one_sided_sphere_it_is_dark(bench, area_bench) -> None:
 
 @pytest.mark.parametrize("flags", [0, 1])
 def test_area_sampling_gives_the_same_irradiance(area_bench, flags: int) -> None:
-    """Far from it, and inside, where the vector irradiance of a closed uniform shell is zero but its flux is pi."""
+    """Of the near side alone, also where the far side is sampled and emits as well."""
     scene = sphere(area_bench, (0.0, 3.0, 0.0), 1.0, flags=flags)
     grid = area_bench.grid(512)
     s = area_bench.sample(scene, (0, 0, 0), grid)

@@ -21,6 +21,7 @@ typedef struct {
   float height;      // of p above the plane, > 0
   float area;
   bool by_area;
+  SphericalTriangle sphere;  // of a b c, where it is not sampled by area
 } EmitterView;
 
 static inline float emitter_probability(const SceneData *scene, const __global Light *light, const uint i) {
@@ -80,24 +81,21 @@ static inline bool emitter_view(const SceneData *scene, const __global Light *li
   const float3 rc = view->c - center;
   const float reach2 = MAX(MAX(dot3(ra, ra), dot3(rb, rb)), dot3(rc, rc));
   view->by_area = reach2 < FLAT_FAR * dot3(center, center);
+  if (!view->by_area) view->sphere = spherical_triangle(view->a, view->b, view->c, 2.0f * view->height * view->area);
 #endif
   return true;
 }
 
-static inline float emitter_pdf(const EmitterView *view, const SphericalTriangle *t, const float distance) {
-  return view->by_area ? flat_area_pdf(distance, view->height, view->area) : 0.5f / t->half_angle;
+static inline float emitter_pdf(const EmitterView *view, const float distance) {
+  return view->by_area ? flat_area_pdf(distance, view->height, view->area) : 0.5f / view->sphere.half_angle;
 }
 
 // A point relative to p, from the apex b across the edge a c; both ways agree for triangles that look small.
-static inline float3 emitter_point(const EmitterView *view, const SphericalTriangle *t, const float2 u) {
-  const float cut = view->by_area ? u.x : spherical_triangle_cut(t, u.x * t->half_angle);
+static inline float3 emitter_point(const EmitterView *view, const float2 u) {
+  const float cut = view->by_area ? u.x : spherical_triangle_cut(&view->sphere, u.x * view->sphere.half_angle);
   const float3 e = view->a + cut * (view->c - view->a);
-  const float out = view->by_area ? SQRT(u.y) : spherical_triangle_reach(t, view->b, e, u.y);
+  const float out = view->by_area ? SQRT(u.y) : spherical_triangle_reach(&view->sphere, view->b, e, u.y);
   return view->b + out * (e - view->b);
-}
-
-static inline SphericalTriangle emitter_triangle(const EmitterView *view) {
-  return spherical_triangle(view->a, view->b, view->c, 2.0f * view->height * view->area);
 }
 
 static inline bool mesh_light_sample(const SceneData *scene, const __global Light *light, const float3 p,
@@ -105,12 +103,11 @@ static inline bool mesh_light_sample(const SceneData *scene, const __global Ligh
   const uint i = emitter_choose(scene, light, u_triangle);
   EmitterView view;
   if (!emitter_view(scene, light, i, p, time, &view)) return false;
-  const SphericalTriangle t = emitter_triangle(&view);
-  out->p = p + emitter_point(&view, &t, u);
+  out->p = p + emitter_point(&view, u);
   out->p_error = view.p_error + abs3(p) * GAMMA(2);
   out->n = view.n;
   if (!aim(p, out)) return false;
-  out->pdf = emitter_probability(scene, light, i) * emitter_pdf(&view, &t, out->distance);
+  out->pdf = emitter_probability(scene, light, i) * emitter_pdf(&view, out->distance);
   return usable(out->pdf);
 }
 
@@ -120,7 +117,6 @@ static inline float mesh_light_hit_pdf(const SceneData *scene, const __global Li
   const uint i = triangle - light->first_triangle;
   EmitterView view;
   if (i >= light->triangle_count || !emitter_view(scene, light, i, p, time, &view)) return 0.0f;
-  const SphericalTriangle t = emitter_triangle(&view);
-  const float pdf = emitter_probability(scene, light, i) * emitter_pdf(&view, &t, distance);
+  const float pdf = emitter_probability(scene, light, i) * emitter_pdf(&view, distance);
   return usable(pdf) ? pdf : 0.0f;
 }
