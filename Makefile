@@ -6,6 +6,8 @@ VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 PACKAGES := scene/penumbra_scene kernels/penumbra_kernels service/penumbra_service client/penumbra_client
+# Where `make serve` keeps everything.
+DATA ?= data
 # Extra words for pytest, for instance: make test ARGS="tests/client -k sse"
 ARGS ?=
 
@@ -25,8 +27,8 @@ demo: setup ## start the service, render an example scene as a client would, sto
 test: setup ## run the whole test suite
 	@$(BIN)/python -m pytest $(ARGS)
 
-serve: setup ## keep the service up on 127.0.0.1:8484, its data in data/
-	@exec $(BIN)/penumbra serve --data data $(ARGS)
+serve: setup ## keep the service up on 127.0.0.1:8484, its data in data/ (DATA=folder)
+	@exec $(BIN)/penumbra serve --data $(DATA) $(ARGS)
 
 lint: setup ## ruff: style and format
 	@$(BIN)/ruff check .

@@ -39,7 +39,7 @@ def main() -> int:
     parser.add_argument(
         "scene", nargs="?", type=Path, default=SCENE, help="scene file (default: %(default)s)"
     )
-    parser.add_argument("--seconds", type=float, default=60.0, help="tracing time after which the demo ends")
+    parser.add_argument("--seconds", type=float, default=30.0, help="tracing time after which the demo ends")
     arguments = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     try:
@@ -121,7 +121,7 @@ def tell(job: JobStatus, paths: dict[str, Path]) -> None:
         print(f"  {name:10} {_short(path)}")
     print(
         f"\nLook at it in a browser: file://{paths['thumbnail']}\n"
-        f"or keep the service up with `make serve ARGS='--data {_short(OUT / 'data')}'` "
+        f"or bring the service up again with `make serve DATA={_short(OUT / 'data')}` "
         f"and open http://127.0.0.1:8484{job.links.page}"
     )
 
