@@ -46,19 +46,29 @@ def _decode(task: dict[str, Any]) -> None:
             np.save(out / f"{name}.npy", array)
 
 
-def main() -> int:
-    """Any exception is an answer, since the file is what it comes from; only its text leaves this process."""
-    task = json.loads(sys.stdin.read())
-    confine(task["limits"]["memory_bytes"], task["limits"]["seconds"])
+def attempt(task: dict[str, Any]) -> str | None:
+    """Does the task; why it could not be done, in words, if so.
+
+    Any exception is an answer, since the file is what it comes from.
+    """
     try:
         _decode(task)
     except MemoryError:
-        print(f"decoding it takes more than {task['limits']['memory_bytes'] >> 20} MiB of memory")
-        return REFUSED
+        return f"decoding it takes more than {task['limits']['memory_bytes'] >> 20} MiB of memory"
     except Exception as error:
-        print(_in_words(error))
-        return REFUSED
-    return 0
+        return _in_words(error)
+    return None
+
+
+def main() -> int:
+    """The exit status. Only the refusal's text leaves this process."""
+    task = json.loads(sys.stdin.read())
+    confine(task["limits"]["memory_bytes"], task["limits"]["seconds"])
+    refusal = attempt(task)
+    if refusal is None:
+        return 0
+    print(refusal)
+    return REFUSED
 
 
 def _in_words(error: Exception) -> str:

@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,8 @@ from trimesh.exchange import gltf, obj, ply
 from trimesh.scene.transforms import SceneGraph
 
 from penumbra_service.images.limits import DecodeLimits
+from penumbra_service.images.obj_indices import with_absolute_indices
 from penumbra_service.images.ply_polygons import with_equal_faces
-
-_ZERO_INDEX: Final = re.compile(rb"^f[ \t][^\n]*(?<=[ \t/])0+(?=[/\s]|$)", re.MULTILINE)
-"""OBJ counts from 1; trimesh would take 0 for the last vertex."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +44,27 @@ def read_mesh(data: bytes, kind: str, limits: DecodeLimits) -> MeshData:
 
 
 def _obj(data: bytes) -> list[Part]:
-    if _ZERO_INDEX.search(data):
-        raise AssetError("a face refers to index 0, but OBJ counts from 1")
     # Without maintain_order a vertex is split wherever faces give it different normals or uvs.
-    found = obj.load_obj(io.BytesIO(data), skip_materials=True, group_material=True, maintain_order=False)
+    file = io.BytesIO(with_absolute_indices(data))
+    found = obj.load_obj(file, skip_materials=True, group_material=True, maintain_order=False)
     return [_part(piece) for piece in found.get("geometry", {"": found}).values() if "faces" in piece]
 
 
 def _ply(data: bytes) -> list[Part]:
-    found = ply.load_ply(io.BytesIO(with_equal_faces(data)), fix_texture=False, skip_materials=True)
+    file = with_equal_faces(data)
+    found = ply.load_ply(io.BytesIO(file), fix_texture=False, skip_materials=True)
     _check_ply_counts(data, found)
-    return [_part(found)] if "faces" in found else []
+    if "faces" not in found:
+        return []
+    if b"texcoord" not in file[: file.find(b"end_header")]:
+        return [_part(found)]
+    # Texture coordinates of faces, not vertices: vertices are split, which loses their normals' order.
+    split = ply.load_ply(io.BytesIO(file), fix_texture=True, skip_materials=True)
+    normals = split.pop("vertex_normals", None)
+    if normals is not None:
+        split["vertex_normals"] = np.empty((len(split["vertices"]), 3))
+        split["vertex_normals"][np.ravel(split["faces"])] = np.asarray(normals)[np.ravel(found["faces"])]
+    return [_part(split)]
 
 
 def _check_ply_counts(data: bytes, found: Mapping[str, Any]) -> None:

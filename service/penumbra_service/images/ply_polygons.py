@@ -58,8 +58,8 @@ def with_equal_faces(data: bytes) -> bytes:
     start = line_end + 1
     start += sum(e.count * sum(struct.calcsize("=" + p.code) for p in e.properties) for e in before)
     face = elements[at]
-    polygons = _polygons(data, start, face, order)
-    if len({len(polygon) for polygon in polygons}) <= 1 and len(face.properties) == 1:
+    polygons, sizes = _polygons(data, start, face, order)
+    if len(sizes) <= 1:
         return data
     return _rewritten(data[line_end + 1 : start], lines, elements, at, polygons, order)
 
@@ -84,20 +84,23 @@ def _property(words: list[str]) -> _Property:
         raise AssetError(f"the PLY header holds what cannot be read: {' '.join(words)[:80]!r}") from None
 
 
-def _polygons(data: bytes, at: int, face: _Element, order: str) -> list[tuple[int, ...]]:
-    """The vertex indices of every face."""
-    polygons = []
+def _polygons(data: bytes, at: int, face: _Element, order: str) -> tuple[list[tuple[int, ...]], set[int]]:
+    """The vertex indices of every face, and the lengths in bytes that faces have."""
+    polygons: list[tuple[int, ...]] = []
+    sizes = set()
     try:
         for _ in range(face.count):
             polygon: tuple[int, ...] = ()
+            first = at
             for prop in face.properties:
                 values, at = _values(data, at, prop, order)
                 if prop.name in _INDEX_NAMES:
                     polygon = values
             polygons.append(polygon)
+            sizes.add(at - first)
     except struct.error:
         raise AssetError(f"the file ends after {len(polygons)} of {face.count} faces") from None
-    return polygons
+    return polygons, sizes
 
 
 def _values(data: bytes, at: int, prop: _Property, order: str) -> tuple[tuple[int, ...], int]:

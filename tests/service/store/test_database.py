@@ -1,0 +1,109 @@
+"""The database: settings, migrations, identifiers."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from penumbra_service.store.database import Database
+from penumbra_service.store.ids import LENGTH, IdMaker, encode, is_id
+from penumbra_service.store.jobs import NewJob, SqlJobStore
+from penumbra_service.store.keys import PREFIX, KeyStore
+from penumbra_service.store.schema import jobs, metadata
+from sqlalchemy import func, select
+
+
+def test_sqlite_is_set_up_for_several_writers(database: Database) -> None:
+    with database.read() as connection:
+        pragma = {
+            name: connection.exec_driver_sql(f"PRAGMA {name}").scalar_one()
+            for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
+        }
+    assert pragma == {"journal_mode": "wal", "synchronous": 1, "foreign_keys": 1, "busy_timeout": 10_000}
+
+
+def test_migrations_lead_to_the_tables_in_use(database: Database) -> None:
+    with database.read() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, metadata) == []
+
+
+def test_migrating_twice_changes_nothing(tmp_path: Path) -> None:
+    for _ in range(2):
+        database = Database(f"sqlite:///{tmp_path / 'deep' / 'a.sqlite3'}")
+        database.migrate()
+        SqlJobStore(database).create(NewJob("{}", "d" * 64, "kept"))
+        database.close()
+    with database.read() as connection:
+        assert connection.execute(select(func.count()).select_from(jobs)).scalar_one() == 2
+    database.close()
+
+
+def test_a_failed_transaction_leaves_nothing(database: Database) -> None:
+    store = SqlJobStore(database)
+    store.create(NewJob("{}", "d" * 64, "a"))
+
+    def fail() -> None:
+        with database.write() as connection:
+            connection.execute(jobs.delete())
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert store.counts() == {"queued": 1}
+
+
+def test_a_writer_waits_for_another(database: Database) -> None:
+    """Read, then write, in four threads: deferred transactions would end as 'database is locked'."""
+    store = SqlJobStore(database)
+    row, _ = store.create(NewJob("{}", "d" * 64, "a", progress={"count": 0}))
+
+    def add() -> None:
+        for _ in range(20):
+            with database.write() as connection:
+                count = connection.execute(select(jobs.c.progress)).scalar_one()["count"]
+                connection.execute(jobs.update().values(progress={"count": count + 1}))
+
+    threads = [threading.Thread(target=add) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert store.get(row.id).progress == {"count": 80}
+
+
+def test_identifiers_rise_and_tell_themselves_from_others() -> None:
+    make = IdMaker()
+    made = [make() for _ in range(2000)]
+    assert made == sorted(set(made))
+    assert all(is_id(text) and len(text) == LENGTH for text in made)
+    assert encode(0) == "0" * 26
+    assert encode(2**128 - 1) == "7" + "Z" * 25
+    for text in ("", "x" * 26, made[0].lower(), made[0] + "0", "8" + "0" * 25, made[0][:-1] + "\n"):
+        assert not is_id(text)
+
+
+def test_keys_are_checked_listed_and_revoked(database: Database) -> None:
+    keys = KeyStore(database)
+    assert not keys.any_made()
+    token, key = keys.create("a")
+    other, _ = keys.create("a")
+    assert token.startswith(PREFIX)
+    assert token != other
+    found = keys.check(token)
+    assert found is not None
+    assert found.id == key.id
+    for wrong in ("", "pnb_", token[:-1], token + "x", token.upper()):
+        assert keys.check(wrong) is None
+    assert keys.revoke(key.id) == 1
+    assert keys.check(token) is None
+    assert keys.check(other) is not None
+    assert keys.any_active()
+    assert keys.revoke("a") == 1
+    assert keys.revoke("a") == 0
+    assert not keys.any_active()
+    assert keys.any_made()
+    assert [k.revoked is not None for k in keys.list()] == [True, True]
