@@ -17,7 +17,7 @@ RINGS, SIDES = 256, 256
 """Of the shell: 2 * RINGS * SIDES triangles."""
 
 
-def sky(width: int = 256, height: int = 128) -> NDArray[np.float32]:
+def sky(width: int = 512, height: int = 256) -> NDArray[np.float32]:
     """An equirectangular dusk, W / (m^2 sr): row 0 is straight up, the middle column is -Z."""
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     up = np.cos(np.pi * v)[..., None]
