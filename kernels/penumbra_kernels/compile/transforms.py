@@ -239,7 +239,7 @@ def matrix_at(transform: Transform, t: float) -> Array:
 
 
 def is_similarity(matrix: Array) -> bool:
-    """Whether a matrix only turns, mirrors, moves and scales alike along all axes, up to float32's rounding."""
+    """Whether a matrix only turns, mirrors, moves and scales all axes alike, up to float32's rounding."""
     m = matrix[:3, :3]
     gram = m.T @ m
     size = np.trace(gram) / 3.0
