@@ -8,8 +8,6 @@
 // order under the same conditions.
 #include "base/types.h"
 #include "base/effects.h"
-// Here, since a file that is first included under an #if is there under it alone.
-#include "base/transcendental.cl"
 #include "film/filter.cl"
 #include "camera/camera.cl"
 #include "integrators/path.cl"
