@@ -92,7 +92,7 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
     if not status.state.ended:
         facts.append(("Still to go", words.duration(status.predicted_seconds)))
     if status.theta is not None:
-        facts.append(("Variance falls as", f"samples^{-status.theta:.2f}"))
+        facts.append(("Variance falls as", f"samples^−{status.theta:.2f}"))
     facts += [
         ("Picture", f"{status.width} × {status.height}"),
         ("Sampler", status.sampler),

@@ -33,6 +33,8 @@ def percent(share: float | None) -> str:
     """0.01234 -> '1.2 %'."""
     if share is None:
         return UNKNOWN
+    if share == 0:
+        return "0 %"
     value = 100 * share
     digits = 0 if value >= 99.5 else 1 if value >= 0.995 else 2 if value >= 0.0995 else 3
     return f"{value:.{digits}f} %"
