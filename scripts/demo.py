@@ -44,7 +44,7 @@ def main() -> int:
     OUT.mkdir(parents=True, exist_ok=True)
     try:
         with running_service(OUT / "data", OUT / "service.log") as address, Client(address) as client:
-            print(f"The service is up on {address}")
+            print(f"The service is up on {address}", flush=True)
             job, paths = render(client, arguments.scene, arguments.seconds)
             tell(job, paths)
     except (DemoError, ClientError) as error:
@@ -98,7 +98,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 def render(client: Client, scene: Path, seconds: float) -> tuple[JobStatus, dict[str, Path]]:
     """Submit, watch, fetch: three calls of the client."""
     job = client.submit(scene, stop={"samples": _samples_of(scene), "seconds": seconds})
-    print(f"Rendering {_short(scene)} as job {job.id}")
+    print(f"Rendering {_short(scene)} as job {job.id}", flush=True)
     with ProgressView() as view:
         job = client.wait(job.id, view)
     return job, client.fetch(job.id, OUT)

@@ -1,0 +1,93 @@
+"""`make pictures`: renders every example into docs/pictures, and writes docs/gallery.md around them.
+
+The words are those of examples/README.md, the numbers those of each picture's receipt, and the pictures the
+thumbnails that every render leaves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from penumbra_client.cli import main as penumbra
+from penumbra_scene.receipt import Receipt
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+EXAMPLES: Final = ROOT / "examples"
+PICTURES: Final = ROOT / "docs" / "pictures"
+GALLERY: Final = ROOT / "docs" / "gallery.md"
+_ROW: Final = re.compile(r"^\| \[`(\w+)`\]\(\w+\.json\) \| (.*) \| (.*) \|$", re.MULTILINE)
+_HEAD: Final = """\
+# Gallery
+
+The [examples](../examples/README.md), rendered as they are. Relative errors are the pictures' own
+([how wrong a picture is](estimator.md)); seconds are of tracing, on the device that each line names.
+`make pictures` makes this page.
+"""
+
+
+def main() -> int:
+    """Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="only these examples (default: all)")
+    arguments = parser.parse_args()
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for name, _, _ in rows():
+        if not arguments.names or name in arguments.names:
+            print(name, flush=True)
+            if status := render(name):
+                return status
+    GALLERY.write_text(gallery())
+    return 0
+
+
+def rows() -> list[tuple[str, str, str]]:
+    """Name, what it shows, what is sampled, for each example."""
+    return _ROW.findall((EXAMPLES / "README.md").read_text())
+
+
+def render(name: str) -> int:
+    """One picture and its receipt; the command's exit status."""
+    scene = EXAMPLES / f"{name}.json"
+    with tempfile.TemporaryDirectory() as out:
+        status = penumbra(["render", str(scene), "--out", out])
+        if status == 0:
+            shutil.copy(Path(out) / "thumbnail.png", PICTURES / f"{name}.png")
+            shutil.copy(Path(out) / "receipt.json", PICTURES / f"{name}.json")
+    return status
+
+
+def gallery() -> str:
+    """The page."""
+    parts = [_HEAD]
+    for name, shows, sampled in rows():
+        receipt_path = PICTURES / f"{name}.json"
+        if receipt_path.exists():
+            receipt = Receipt.model_validate_json(receipt_path.read_bytes())
+            parts.append(
+                f"## {receipt.name}\n\n"
+                f"![{name}](pictures/{name}.png)\n\n"
+                f"{shows[0].upper()}{shows[1:]}. Sampled: {sampled}. [Scene](../examples/{name}.json).\n\n"
+                f"{numbers(receipt)}\n"
+            )
+    return "\n".join(parts)
+
+
+def numbers(receipt: Receipt) -> str:
+    """What the picture cost and how wrong it is."""
+    error = receipt.error.relative_error
+    told = "its error is not known" if error is None else f"relative error {100 * error:.2g} %"
+    effects = ", ".join(effect.name for effect in receipt.effects_in) or "none"
+    return (
+        f"{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`), {told}, "
+        f"{receipt.forecast.real_seconds:.1f} s on {receipt.devices[0].name}. Compiled in: {effects}."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
