@@ -54,10 +54,6 @@ class Settings:
     """Address space of the process that decodes an asset."""
     decode_seconds: float = 120.0
     """Time that decoding an asset may take."""
-    snapshot_seconds: float = 5.0
-    """Time between snapshots of a running job: what a crash of the service may lose."""
-    preview_seconds: float = 2.0
-    """Time between new thumbnails of a running job."""
     heartbeat_seconds: float = 15.0
     """Time between signs of life in a stream of events."""
     shutdown_seconds: float = 30.0
@@ -68,7 +64,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in ("max_body_bytes", "max_asset_bytes", "decode_memory_bytes"):
             _require(getattr(self, name) >= 1, name, getattr(self, name), "a whole number of at least 1")
-        for name in ("decode_seconds", "snapshot_seconds", "preview_seconds", "heartbeat_seconds"):
+        for name in ("decode_seconds", "heartbeat_seconds"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
         _require(
             self.shutdown_seconds >= 0, "shutdown_seconds", self.shutdown_seconds, "a number of at least 0"

@@ -51,13 +51,15 @@ async def put(request: Request, response: Response, sha256: Digest) -> AssetInfo
     return await _receive(request, response, sha256.removeprefix("sha256:"))
 
 
-@router.api_route("/{sha256}", methods=["GET", "HEAD"])
+@router.get("/{sha256}")
+@router.head("/{sha256}", include_in_schema=False)
 def get(request: Request, sha256: Digest) -> AssetInfo:
     """What is known of an asset."""
     return _info(service_of(request).asset_store.get(sha256.removeprefix("sha256:")), False)
 
 
-@router.api_route("/{sha256}/content", methods=["GET", "HEAD"], response_class=FileResponse)
+@router.get("/{sha256}/content", response_class=FileResponse)
+@router.head("/{sha256}/content", include_in_schema=False)
 def content(request: Request, sha256: Digest) -> FileResponse:
     """The bytes of an asset."""
     digest = sha256.removeprefix("sha256:")

@@ -24,31 +24,36 @@ _MEDIA: Final = {
 }
 
 
-@router.api_route("/result.exr", methods=["GET", "HEAD"], response_class=FileResponse)
+@router.get("/result.exr", response_class=FileResponse)
+@router.head("/result.exr", include_in_schema=False)
 async def exr(request: Request, job_id: str) -> Response:
     """The picture with its variance, once the job is done."""
     return await _artifact(request, job_id, RESULT)
 
 
-@router.api_route("/thumbnail.png", methods=["GET", "HEAD"], response_class=FileResponse)
+@router.get("/thumbnail.png", response_class=FileResponse)
+@router.head("/thumbnail.png", include_in_schema=False)
 async def thumbnail(request: Request, job_id: str) -> Response:
     """The picture as people look at it; it gets better while the job runs."""
     return await _artifact(request, job_id, THUMBNAIL)
 
 
-@router.api_route("/heatmap.png", methods=["GET", "HEAD"], response_class=FileResponse)
+@router.get("/heatmap.png", response_class=FileResponse)
+@router.head("/heatmap.png", include_in_schema=False)
 async def heatmap(request: Request, job_id: str) -> Response:
     """Where the picture is how noisy."""
     return await _artifact(request, job_id, HEATMAP)
 
 
-@router.api_route("/receipt.json", methods=["GET", "HEAD"], response_class=FileResponse)
+@router.get("/receipt.json", response_class=FileResponse)
+@router.head("/receipt.json", include_in_schema=False)
 async def receipt(request: Request, job_id: str) -> Response:
     """What the render was, what it cost, and how wrong it is, once the job is done."""
     return await _artifact(request, job_id, RECEIPT)
 
 
-@router.api_route("/scene.json", methods=["GET", "HEAD"])
+@router.get("/scene.json")
+@router.head("/scene.json", include_in_schema=False)
 async def scene(request: Request, job_id: str) -> Response:
     """The scene as it is rendered, with every default written out."""
     text = await run_in_threadpool(_scene_text, service_of(request), job_id)
