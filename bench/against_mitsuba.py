@@ -49,7 +49,9 @@ def mitsuba(scene: Scene, samples: int, runs: int, sampler: str) -> tuple[Array,
     loaded = mi.load_dict(to_mitsuba(scene, sampler))
     np.array(mi.render(loaded, spp=1, seed=999))
     started = time.perf_counter()
-    pictures = np.stack([np.array(mi.render(loaded, spp=samples, seed=seed)) for seed in range(runs)]).astype(np.float64)
+    pictures = np.stack([np.array(mi.render(loaded, spp=samples, seed=seed)) for seed in range(runs)]).astype(
+        np.float64
+    )
     seconds = (time.perf_counter() - started) / runs
     return pictures.mean(axis=0), pictures.var(axis=0, ddof=1) / runs, seconds
 
@@ -61,7 +63,9 @@ def blocks(image: Array, side: int = 8) -> Array:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scene", type=Path)
     parser.add_argument("--samples", type=int, default=256)
     parser.add_argument("--runs", type=int, default=8)

@@ -2,7 +2,7 @@
 
 Covers what both renderers define alike: perspective cameras, box filters, diffuse, mirrors, conductors without Fresnel
 and without energy compensation, smooth and rough dielectrics, thin panes, quads, discs, spheres, inline meshes, area,
-point and directional lights, constant environments. Anything else raises Unsupported with its name.
+point and directional lights, constant environments. Anything else raises UnsupportedError with its name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from penumbra_scene.materials import TextureRef
 from penumbra_scene.scene import Scene
 
 
-class Unsupported(ValueError):
+class UnsupportedError(ValueError):
     """The scene has something that the two renderers do not define alike."""
 
 
@@ -26,7 +26,7 @@ def _transform(matrix: np.ndarray) -> Any:
 
 def _rgb(value: Any) -> dict[str, Any]:
     if isinstance(value, TextureRef):
-        raise Unsupported("textures")
+        raise UnsupportedError("textures")
     return {"type": "rgb", "value": list(value)}
 
 
@@ -35,8 +35,16 @@ def _bsdf(material: Any) -> dict[str, Any]:
     if kind == "diffuse":
         return {"type": "twosided", "b": {"type": "diffuse", "reflectance": _rgb(material.base_color)}}
     if kind == "mirror":
-        return {"type": "twosided", "b": {"type": "conductor", "material": "none", "specular_reflectance": _rgb(material.color)}}
-    if kind == "conductor" and not material.fresnel and not material.energy_compensation and not material.anisotropy:
+        return {
+            "type": "twosided",
+            "b": {"type": "conductor", "material": "none", "specular_reflectance": _rgb(material.color)},
+        }
+    if (
+        kind == "conductor"
+        and not material.fresnel
+        and not material.energy_compensation
+        and not material.anisotropy
+    ):
         color = _rgb(material.base_color)
         if material.roughness == 0:
             inner: dict[str, Any] = {"type": "conductor", "material": "none", "specular_reflectance": color}
@@ -62,7 +70,7 @@ def _bsdf(material: Any) -> dict[str, Any]:
             }
     if kind == "thin_dielectric" and material.roughness == 0:
         return {"type": "thindielectric", "int_ior": material.ior, "ext_ior": 1.0}
-    raise Unsupported(f"material {kind} as given")
+    raise UnsupportedError(f"material {kind} as given")
 
 
 def _quad_matrix(shape: Any) -> np.ndarray:
@@ -87,7 +95,7 @@ def _disc_matrix(shape: Any) -> np.ndarray:
 
 def _mesh(shape: Any, world: np.ndarray, properties: dict[str, Any]) -> Any:
     if shape.source is not None or shape.normals is not None or shape.smooth:
-        raise Unsupported("meshes other than flat inline ones")
+        raise UnsupportedError("meshes other than flat inline ones")
     props = mi.Properties()
     for key, value in properties.items():
         props[key] = mi.load_dict(value)
@@ -102,11 +110,14 @@ def _mesh(shape: Any, world: np.ndarray, properties: dict[str, Any]) -> Any:
 
 def _shape(shape: Any, materials: dict[str, Any]) -> Any:
     world = np.asarray(matrix_at(shape.transform, 0.0), np.float64)
-    default = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8 if not getattr(shape, "emission", None) else 0.0}}
+    default = {
+        "type": "diffuse",
+        "reflectance": {"type": "rgb", "value": 0.8 if not getattr(shape, "emission", None) else 0.0},
+    }
     properties: dict[str, Any] = {"bsdf": _bsdf(materials[shape.material]) if shape.material else default}
     if getattr(shape, "emission", None):
         if shape.emission.two_sided:
-            raise Unsupported("two-sided emission")
+            raise UnsupportedError("two-sided emission")
         properties["emitter"] = {"type": "area", "radiance": _rgb(shape.emission.radiance)}
     if shape.type == "sphere":
         local = np.eye(4)
@@ -119,7 +130,7 @@ def _shape(shape: Any, materials: dict[str, Any]) -> Any:
         return {"type": "disk", "to_world": _transform(world @ _disc_matrix(shape)), **properties}
     if shape.type == "mesh":
         return _mesh(shape, world, properties)
-    raise Unsupported(f"shape {shape.type}")
+    raise UnsupportedError(f"shape {shape.type}")
 
 
 def _light(light: Any) -> dict[str, Any]:
@@ -133,14 +144,14 @@ def _light(light: Any) -> dict[str, Any]:
             "direction": (world[:3, :3] @ np.array(light.direction)).tolist(),
             "irradiance": _rgb(light.irradiance),
         }
-    raise Unsupported(f"light {light.type}")
+    raise UnsupportedError(f"light {light.type}")
 
 
 def to_mitsuba(scene: Scene, sampler: str = "independent") -> dict[str, Any]:
     """The same scene as a dictionary for mitsuba.load_dict (a variant must be set)."""
     camera, film = scene.camera, scene.film
     if camera.type != "perspective" or film.filter.type != "box" or film.filter.radius != 0.5 or film.crop:
-        raise Unsupported("cameras other than perspective, filters other than the pixel's box, crops")
+        raise UnsupportedError("cameras other than perspective, filters other than the pixel's box, crops")
     flip = np.diag([-1.0, 1.0, -1.0, 1.0])
     sensor: dict[str, Any] = {
         "type": "perspective",
@@ -161,8 +172,12 @@ def to_mitsuba(scene: Scene, sampler: str = "independent") -> dict[str, Any]:
     }
     if camera.lens.aperture_radius:
         if camera.lens.blades:
-            raise Unsupported("aperture blades")
-        sensor |= {"type": "thinlens", "aperture_radius": camera.lens.aperture_radius, "focus_distance": camera.lens.focus_distance}
+            raise UnsupportedError("aperture blades")
+        sensor |= {
+            "type": "thinlens",
+            "aperture_radius": camera.lens.aperture_radius,
+            "focus_distance": camera.lens.focus_distance,
+        }
     depth = scene.integrator.max_bounces + 2
     result: dict[str, Any] = {
         "type": "scene",
@@ -175,6 +190,6 @@ def to_mitsuba(scene: Scene, sampler: str = "independent") -> dict[str, Any]:
         result[f"light{i}"] = _light(light)
     if scene.environment is not None:
         if scene.environment.type != "constant":
-            raise Unsupported("image environments")
+            raise UnsupportedError("image environments")
         result["environment"] = {"type": "constant", "radiance": _rgb(scene.environment.radiance)}
     return result

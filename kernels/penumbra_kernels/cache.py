@@ -61,7 +61,7 @@ def store(key: str, binary: bytes) -> None:
         handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
         with os.fdopen(handle, "wb") as file:
             file.write(hashlib.sha256(binary).digest() + binary)
-        os.replace(temporary, path)
+        Path(temporary).replace(path)
     except OSError:
         return
     _trim(path.parent)

@@ -124,7 +124,7 @@ class Device:
             "PENUMBRA_X86": int(cpu_builtins),
         }
 
-    def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> cl.Program:
+    def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> Any:
         """Assemble and build a program, from the cache where it is there. Raises BuildError with the log."""
         import pyopencl as cl
 
@@ -139,7 +139,9 @@ class Device:
         try:
             program = cl.Program(self.context, source).build(list(BUILD_OPTIONS))
         except cl.Error as error:
-            raise BuildError(f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}") from error
+            raise BuildError(
+                f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}"
+            ) from error
         self.builds += 1
         cache.store(key, program.get_info(cl.program_info.BINARIES)[0])
         return program

@@ -85,7 +85,9 @@ class Features:
 def analyse(scene: Scene, time: float = 0.0) -> Features:
     """Decide on every effect for the frame at `time` seconds."""
     reasons = {name: next(_reasons(name, scene, time), "") for name in EFFECTS}
-    verdicts = tuple(Feature(name, bool(reason), reason or "nothing uses it") for name, reason in reasons.items())
+    verdicts = tuple(
+        Feature(name, bool(reason), reason or "nothing uses it") for name, reason in reasons.items()
+    )
     return Features(verdicts, scene.sampler.type, scene.integrator.light_sampling == "area")
 
 
@@ -141,7 +143,11 @@ def _motion(scene: Scene, time: float) -> Iterable[str]:
 
 def _deformation(scene: Scene, time: float) -> Iterable[str]:
     for where, shape in _shapes(scene):
-        if isinstance(shape, Mesh) and shape.deformation is not None and scene.camera.shutter.close > scene.camera.shutter.open:
+        if (
+            isinstance(shape, Mesh)
+            and shape.deformation is not None
+            and scene.camera.shutter.close > scene.camera.shutter.open
+        ):
             yield f"{where} deforms while the shutter is open"
 
 

@@ -16,7 +16,10 @@ F4: Final = (np.float32, 4)
 CAMERA: Final = np.dtype(
     [
         ("world_from_camera", np.float32, (3, 4)),  # rows; at the shutter's opening where the camera moves
-        ("scale_x", np.float32),  # camera-space x of the picture's right edge at z = -1 (perspective) or anywhere
+        (
+            "scale_x",
+            np.float32,
+        ),  # camera-space x of the picture's right edge at z = -1 (perspective) or anywhere
         ("scale_y", np.float32),
         ("aperture_radius", np.float32),
         ("focus_distance", np.float32),
@@ -73,7 +76,11 @@ SUM: Final = np.dtype(
 
 LAYERS: Final = np.dtype(
     [
-        ("albedo_depth", np.float32, (4,)),  # sums of the first hit's albedo, and of its distance along the view axis
+        (
+            "albedo_depth",
+            np.float32,
+            (4,),
+        ),  # sums of the first hit's albedo, and of its distance along the view axis
         ("normal", np.float32, (3,)),  # sum of the first hit's shading normal, world frame
         ("object_id", np.uint32),  # 1 + index of the shape hit by the node's first sample, 0 for none
     ]
@@ -98,7 +105,10 @@ INSTANCE: Final = np.dtype(
         ("first_keyframe", np.uint32),
         ("keyframe_count", np.uint32),  # 0: still
         ("object_id", np.uint32),
-        ("inner_first_keyframe", np.uint32),  # a motion within the prototype, applied before the instance's own
+        (
+            "inner_first_keyframe",
+            np.uint32,
+        ),  # a motion within the prototype, applied before the instance's own
         ("inner_keyframe_count", np.uint32),
         ("pad0", np.uint32),
         ("pad1", np.uint32),
@@ -131,7 +141,11 @@ SPHERE: Final = np.dtype(
     [
         ("center", np.float32, (3,)),
         ("radius", np.float32),
-        ("frame", np.float32, (3,)),  # quaternion x y z of the object frame for uv; w = sqrt(1 - |xyz|^2) >= 0
+        (
+            "frame",
+            np.float32,
+            (3,),
+        ),  # quaternion x y z of the object frame for uv; w = sqrt(1 - |xyz|^2) >= 0
         ("shape", np.uint32),
     ]
 )
@@ -140,7 +154,11 @@ DISC: Final = np.dtype(
     [
         ("center", np.float32, (3,)),
         ("shape", np.uint32),
-        ("u", np.float32, (4,)),  # half axes: points center + a u + b v with a^2 + b^2 <= 1; an ellipse after scaling
+        (
+            "u",
+            np.float32,
+            (4,),
+        ),  # half axes: points center + a u + b v with a^2 + b^2 <= 1; an ellipse after scaling
         ("v", np.float32, (4,)),
     ]
 )
@@ -150,7 +168,11 @@ PLANE: Final = np.dtype(
         ("point", np.float32, (3,)),
         ("shape", np.uint32),
         ("normal", np.float32, (4,)),
-        ("tangent_u", np.float32, (4,)),  # u = dot(position - point, xyz) + w; point is the plane's nearest to the anchor
+        (
+            "tangent_u",
+            np.float32,
+            (4,),
+        ),  # u = dot(position - point, xyz) + w; point is the plane's nearest to the anchor
         ("tangent_v", np.float32, (4,)),
         ("first_keyframe", np.uint32),  # of its motion; the fields above are then in the plane's own frame
         ("keyframe_count", np.uint32),  # 0: still
@@ -217,7 +239,11 @@ LIGHT: Final = np.dtype(
         # An image environment keeps the rows of its own frame from the world in position, direction, axis_v.
         ("position", np.float32, (3,)),  # point, spot; quad: origin; disc, sphere: center
         ("shape", np.uint32),  # of area lights, or NONE
-        ("direction", np.float32, (3,)),  # spot, directional: where the light goes, unit; quad: u; disc: half axis
+        (
+            "direction",
+            np.float32,
+            (3,),
+        ),  # spot, directional: where the light goes, unit; quad: u; disc: half axis
         ("inner", np.float32),  # spot: 1 - cos of the angle within which the light is full; sphere: radius
         ("axis_v", np.float32, (3,)),  # quad: v; disc: second half axis
         ("outer", np.float32),  # spot: 1 - cos of the angle beyond which there is no light
@@ -238,7 +264,10 @@ LIGHT: Final = np.dtype(
 
 ALIAS: Final = np.dtype(
     [
-        ("threshold", np.float32),  # keep this entry where the number, remapped to [0, 1) in the entry, is below
+        (
+            "threshold",
+            np.float32,
+        ),  # keep this entry where the number, remapped to [0, 1) in the entry, is below
         ("other", np.uint32),
         ("pmf", np.float32),
         ("pad0", np.float32),
@@ -319,7 +348,13 @@ CONSTANTS: Final[dict[str, int]] = {
     "SAMPLER_BLUE_NOISE": 6,
 }
 
-_C_NAMES: Final = {"float32": "float", "uint32": "uint", "int32": "int", "uint64": "ulong", "float64": "double"}
+_C_NAMES: Final = {
+    "float32": "float",
+    "uint32": "uint",
+    "int32": "int",
+    "uint64": "ulong",
+    "float64": "double",
+}
 
 HEADER: Final = Path(__file__).parent / "cl" / "layout.h"
 
@@ -332,7 +367,8 @@ def _c_type(dtype: np.dtype[Any]) -> str:
 
 
 def _struct(name: str, dtype: np.dtype[Any]) -> str:
-    assert dtype.names is not None and dtype.fields is not None
+    assert dtype.names is not None
+    assert dtype.fields is not None
     lines = ["typedef struct {"]
     for field in dtype.names:
         base = dtype.fields[field][0]

@@ -18,7 +18,12 @@ from penumbra_kernels.layout import LAYERS, SUM
 FLOAT32_SAMPLES: Final = 256
 """Largest node whose sums are float32; a launch never covers more samples of one pixel and replicate."""
 
-SUM64: Final = np.dtype([(name, np.float64 if name == "rgba" else base.base, base.shape) for name, (base, *_) in (SUM.fields or {}).items()])
+SUM64: Final = np.dtype(
+    [
+        (name, np.float64 if name == "rgba" else base.base, base.shape)
+        for name, (base, *_) in (SUM.fields or {}).items()
+    ]
+)
 """SUM with float64 colour: nodes of more than FLOAT32_SAMPLES samples."""
 
 
@@ -47,7 +52,9 @@ class SumNode:
     def __post_init__(self) -> None:
         n = self.sample_count
         if n < 1 or n & (n - 1) or self.first_sample % n:
-            raise ValueError(f"a node's range must be an aligned power of two, not [{self.first_sample}, +{n})")
+            raise ValueError(
+                f"a node's range must be an aligned power of two, not [{self.first_sample}, +{n})"
+            )
 
     @property
     def end(self) -> int:

@@ -138,7 +138,9 @@ class Tracer:
             buffers["layers"] = self.device.allocate(layers.nbytes)
         if self.flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]:
             buffers["counts"] = self.device.upload(self._counts(tile, first_sample, sample_count))
-        arguments = [buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"]
+        arguments = [
+            buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"
+        ]
         self._run(arguments, items, int(params["items_per_group"]), sample_count)
         self.device.download(buffers["sums"], sums)
         if layers is not None:

@@ -29,18 +29,34 @@ def shape(material: dict[str, Any]) -> dict[str, Any]:
 CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("a quad in the dark", {}, set()),
     ("an open lens", {"camera": {"type": "perspective", "lens": {"aperture_radius": 0.1}}}, {"lens"}),
-    ("a camera that moves", {"camera": {"type": "perspective", "transform": MOVE, "shutter": SHUTTER}}, {"camera_motion"}),
-    ("a camera that moves behind a closed shutter", {"camera": {"type": "perspective", "transform": MOVE}}, set()),
+    (
+        "a camera that moves",
+        {"camera": {"type": "perspective", "transform": MOVE, "shutter": SHUTTER}},
+        {"camera_motion"},
+    ),
+    (
+        "a camera that moves behind a closed shutter",
+        {"camera": {"type": "perspective", "transform": MOVE}},
+        set(),
+    ),
     (
         "a shape that moves",
-        {"camera": {"type": "perspective", "shutter": SHUTTER}, "shapes": [{"type": "quad", "transform": MOVE}]},
+        {
+            "camera": {"type": "perspective", "shutter": SHUTTER},
+            "shapes": [{"type": "quad", "transform": MOVE}],
+        },
         {"motion", "instancing"},
     ),
     (
         "keyframes that say the same",
         {
             "camera": {"type": "perspective", "shutter": SHUTTER},
-            "shapes": [{"type": "quad", "transform": {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": []}]}}],
+            "shapes": [
+                {
+                    "type": "quad",
+                    "transform": {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": []}]},
+                }
+            ],
         },
         set(),
     ),
@@ -68,7 +84,11 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ),
     ("a prototype that nobody uses", {"prototypes": {"p": [{"type": "sphere"}]}}, set()),
     ("a sphere", {"shapes": [{"type": "sphere"}]}, {"round"}),
-    ("a stretched sphere", {"shapes": [{"type": "sphere", "transform": {"scale": [1, 2, 1]}}]}, {"round", "instancing"}),
+    (
+        "a stretched sphere",
+        {"shapes": [{"type": "sphere", "transform": {"scale": [1, 2, 1]}}]},
+        {"round", "instancing"},
+    ),
     ("an area light", {"shapes": [{"type": "quad", "emission": {"radiance": 1}}]}, {"area_lights"}),
     ("a point light", {"lights": [{"type": "point"}]}, {"delta_lights"}),
     ("two lights", {"lights": [{"type": "point"}, {"type": "spot"}]}, {"delta_lights", "many_lights"}),
@@ -84,7 +104,10 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("glass that no shape is made of", {"materials": {"m": {"type": "dielectric"}}}, set()),
     (
         "a texture",
-        {"textures": {"t": {"type": "checker"}}, **shape({"type": "diffuse", "base_color": {"texture": "t"}})},
+        {
+            "textures": {"t": {"type": "checker"}},
+            **shape({"type": "diffuse", "base_color": {"texture": "t"}}),
+        },
         {"textures"},
     ),
     ("bounces", {"integrator": {"max_bounces": 3}}, {"indirect"}),

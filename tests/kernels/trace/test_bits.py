@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from penumbra_kernels.assets import NoAssets
@@ -52,7 +50,13 @@ def busy(sampler: str = "sobol") -> Scene:
                         ]
                     },
                 },
-                {"type": "disc", "center": [0, 4, 0], "normal": [0, -1, 0], "radius": 0.7, "emission": {"radiance": 8}},
+                {
+                    "type": "disc",
+                    "center": [0, 4, 0],
+                    "normal": [0, -1, 0],
+                    "radius": 0.7,
+                    "emission": {"radiance": 8},
+                },
             ],
             "lights": [{"type": "point", "position": [3, 3, 3], "intensity": 5}],
             "environment": {"type": "constant", "radiance": 0.2},
@@ -63,12 +67,16 @@ def busy(sampler: str = "sobol") -> Scene:
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_tiles_and_leases_change_no_bit(device: Device, sampler: str) -> None:
     replicates = 1 if sampler == "regular" else 4
-    tracer = Tracer(device, compile_scene(busy(sampler), NoAssets()), SamplePlan(replicates, 8), program="generic")
+    tracer = Tracer(
+        device, compile_scene(busy(sampler), NoAssets()), SamplePlan(replicates, 8), program="generic"
+    )
     whole = tracer.trace(Tile(0, 0, 24, 20), 0, 8).sums
     assert whole["lit"].sum() > 0
     for tile in (Tile(0, 0, 7, 5), Tile(7, 5, 1, 1), Tile(11, 3, 13, 17)):
         halves = [
-            merge(tracer.trace(tile, 4 * k, 2), tracer.trace(tile, 4 * k + 2, 2)) if k else tracer.trace(tile, 0, 4)
+            merge(tracer.trace(tile, 4 * k, 2), tracer.trace(tile, 4 * k + 2, 2))
+            if k
+            else tracer.trace(tile, 0, 4)
             for k in (0, 1)
         ]
         part = merge(*halves).sums
@@ -90,6 +98,10 @@ def test_seeds_differ(device: Device) -> None:
     for seed in (1, 2):
         scene = busy()
         scene = scene.model_copy(update={"sampler": scene.sampler.model_copy(update={"seed": seed})})
-        sums.append(Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(2, 4), program="generic").trace(Tile(0, 0, 24, 20), 0, 4).sums)
+        sums.append(
+            Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(2, 4), program="generic")
+            .trace(Tile(0, 0, 24, 20), 0, 4)
+            .sums
+        )
     surface = (sums[0]["rgba"][..., 3] == 4) & (sums[1]["rgba"][..., 3] == 4)  # the sky is the same for all
     assert (sums[0]["rgba"][surface, 0] != sums[1]["rgba"][surface, 0]).mean() > 0.99

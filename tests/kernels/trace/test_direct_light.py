@@ -57,20 +57,29 @@ def test_quad_light_gives_its_form_factor_on_the_floor(render: Any, distance: fl
     )
     expected = ALBEDO * 7 * 4 * parallel_quad_form_factor(0.5, 1.0, distance)
     # the picture spans 2 cm of floor: its mean differs from the centre by far less than 1 part in 1000
-    assert picture.mean.mean() == pytest.approx(expected, rel=1e-3 + Z * np.sqrt(picture.variance.sum()) / picture.mean.size / expected)
+    assert picture.mean.mean() == pytest.approx(
+        expected, rel=1e-3 + Z * np.sqrt(picture.variance.sum()) / picture.mean.size / expected
+    )
 
 
 @pytest.mark.parametrize("ratio", [0.5, 1e-2, 1e-4])
 def test_sphere_light_gives_its_irradiance(render: Any, ratio: float) -> None:
     distance = 5.0
-    light = {"type": "sphere", "center": [0, distance, 0], "radius": ratio * distance, "emission": {"radiance": 1 / ratio**2}}
+    light = {
+        "type": "sphere",
+        "center": [0, distance, 0],
+        "radius": ratio * distance,
+        "emission": {"radiance": 1 / ratio**2},
+    }
     picture = render(scene(shapes=[FLOOR, light]), samples=4096)
     error = Z * np.sqrt(picture.variance.sum()) / picture.mean.size
     assert picture.mean.mean() == pytest.approx(ALBEDO, rel=1e-3, abs=error)  # albedo/pi * pi L (r/d)^2
 
 
 def test_point_light_falls_with_the_square(render: Any) -> None:
-    picture = render(scene(lights=[{"type": "point", "position": [0, 3, 0], "intensity": 9 * math.pi}]), samples=64)
+    picture = render(
+        scene(lights=[{"type": "point", "position": [0, 3, 0], "intensity": 9 * math.pi}]), samples=64
+    )
     assert picture.mean == pytest.approx(ALBEDO, rel=1e-3)
 
 
@@ -80,7 +89,13 @@ def test_directional_light_follows_the_cosine(render: Any) -> None:
 
 
 def test_spot_light_is_full_inside_and_dark_outside(render: Any) -> None:
-    spot = {"type": "spot", "position": [0, 3, 0], "intensity": 9 * math.pi, "inner_cone_angle": 20, "outer_cone_angle": 30}
+    spot = {
+        "type": "spot",
+        "position": [0, 3, 0],
+        "intensity": 9 * math.pi,
+        "inner_cone_angle": 20,
+        "outer_cone_angle": 30,
+    }
     inside = render(scene(lights=[{**spot, "direction": [0, -1, 0]}]))
     outside = render(scene(lights=[{**spot, "direction": [1, -1, 0]}]))
     assert inside.mean == pytest.approx(ALBEDO, rel=1e-3)
@@ -90,18 +105,32 @@ def test_spot_light_is_full_inside_and_dark_outside(render: Any) -> None:
 @pytest.mark.parametrize("selection", ["all", "uniform", "power"])
 @pytest.mark.parametrize("picks", [1, 3])
 def test_every_choice_of_lights_has_the_same_mean(render: Any, selection: str, picks: int) -> None:
-    lights = [{"type": "point", "position": [0, h, 0], "intensity": p} for h, p in ((2, 1), (3, 30), (5, 0), (4, 0.01))]
+    lights = [
+        {"type": "point", "position": [0, h, 0], "intensity": p}
+        for h, p in ((2, 1), (3, 30), (5, 0), (4, 0.01))
+    ]
     picture = render(
-        scene(lights=lights, integrator={"max_bounces": 0, "light_selection": selection, "shadow_rays": picks}),
+        scene(
+            lights=lights, integrator={"max_bounces": 0, "light_selection": selection, "shadow_rays": picks}
+        ),
         samples=2048,
     )
     expected = ALBEDO / math.pi * (1 / 4 + 30 / 9 + 0.01 / 16)
-    assert picture.mean.mean() == pytest.approx(expected, rel=1e-3, abs=Z * np.sqrt(picture.variance.sum()) / picture.mean.size)
+    assert picture.mean.mean() == pytest.approx(
+        expected, rel=1e-3, abs=Z * np.sqrt(picture.variance.sum()) / picture.mean.size
+    )
 
 
 def test_fixed_light_points_are_the_lectures_sum(render: Any) -> None:
     """regular, one sample, N shadow rays: L A / N sum cos cos' / r^2 over the same N points for every pixel."""
-    light = {"type": "quad", "origin": [-1, 2, -1], "u": [2, 0, 0], "v": [0, 0, 2], "material": "black", "emission": {"radiance": 1}}
+    light = {
+        "type": "quad",
+        "origin": [-1, 2, -1],
+        "u": [2, 0, 0],
+        "v": [0, 0, 2],
+        "material": "black",
+        "emission": {"radiance": 1},
+    }
     picture = render(
         scene(
             shapes=[FLOOR, light],

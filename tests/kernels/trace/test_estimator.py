@@ -25,7 +25,13 @@ def soft_shadow(sampler: str, seed: int) -> dict[str, Any]:
         "shapes": [
             {"type": "quad", "origin": [-5, 0, 5], "u": [10, 0, 0], "v": [0, 0, -10], "material": "gray"},
             {"type": "sphere", "center": [0, 0.6, 0], "radius": 0.5, "material": "gray"},
-            {"type": "quad", "origin": [-1, 3, -1], "u": [2, 0, 0], "v": [0, 0, 2], "emission": {"radiance": 3}},
+            {
+                "type": "quad",
+                "origin": [-1, 3, -1],
+                "u": [2, 0, 0],
+                "v": [0, 0, 2],
+                "emission": {"radiance": 3},
+            },
         ],
         "integrator": {"max_bounces": 2},
         "sampler": {"type": sampler, "seed": seed},
@@ -38,7 +44,9 @@ def means() -> dict[str, tuple[Any, Any]]:
 
 
 @pytest.mark.parametrize("sampler", STOCHASTIC)
-def test_estimated_variance_is_the_real_one(render: Any, sampler: str, means: dict[str, tuple[Any, Any]]) -> None:
+def test_estimated_variance_is_the_real_one(
+    render: Any, sampler: str, means: dict[str, tuple[Any, Any]]
+) -> None:
     pictures = [render(soft_shadow(sampler, seed), samples=32, replicates=8) for seed in range(SEEDS)]
     stack = np.stack([p.mean for p in pictures])
     estimated = np.mean([p.variance.mean() for p in pictures])

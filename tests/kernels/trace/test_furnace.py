@@ -45,7 +45,9 @@ def test_a_closed_sphere_gathers_a_hundredfold(render: Any) -> None:
         "camera": {"type": "perspective", "fov": 60},
         "film": {"width": 8, "height": 8},
         "materials": {"m": {"type": "diffuse", "base_color": 0.99}},
-        "shapes": [{"type": "sphere", "radius": 2, "material": "m", "emission": {"radiance": 1, "two_sided": True}}],
+        "shapes": [
+            {"type": "sphere", "radius": 2, "material": "m", "emission": {"radiance": 1, "two_sided": True}}
+        ],
         "integrator": {"max_bounces": 65535},
     }
     picture = render(scene, samples=512)

@@ -12,12 +12,18 @@ Z = 5.3
 
 
 def dark(**keys: Any) -> dict[str, Any]:
-    return {"materials": {"black": {"type": "diffuse", "base_color": 0}}, "integrator": {"max_bounces": 0}, **keys}
+    return {
+        "materials": {"black": {"type": "diffuse", "base_color": 0}},
+        "integrator": {"max_bounces": 0},
+        **keys,
+    }
 
 
 @pytest.mark.parametrize("blades", [0, 6])
 @pytest.mark.parametrize("depth", [1.5, 8.0])
-def test_a_point_out_of_focus_spreads_over_its_circle_of_confusion(render: Any, depth: float, blades: int) -> None:
+def test_a_point_out_of_focus_spreads_over_its_circle_of_confusion(
+    render: Any, depth: float, blades: int
+) -> None:
     """Thin lens: a point at depth z blurs to a disc of radius a |1/z - 1/f| in the plane z = 1; second moments tell it.
 
     A regular n-gon of circumradius r has the second moment r^2 (2 + cos(2 pi / n)) / 12 along an axis."""
@@ -63,7 +69,8 @@ def test_a_moving_disc_covers_each_pixel_for_its_share_of_time(render: Any, what
     def motion(sign: float) -> dict[str, Any]:
         return {
             "keyframes": [
-                {"time": t, "transform": [{"translate": [sign * speed * (t - 0.5), 0, 0]}]} for t in (0.0, 1.0)
+                {"time": t, "transform": [{"translate": [sign * speed * (t - 0.5), 0, 0]}]}
+                for t in (0.0, 1.0)
             ]
         }
 
@@ -120,7 +127,11 @@ def test_a_shutter_without_duration_is_the_still_picture(render: Any) -> None:
 def test_a_checkerboard_at_the_horizon_has_its_mean(render: Any) -> None:
     picture = render(
         {
-            "camera": {"type": "perspective", "fov": 1, "transform": {"look_at": {"origin": [0, 1, 0], "target": [0.3, 0.4, -40]}}},
+            "camera": {
+                "type": "perspective",
+                "fov": 1,
+                "transform": {"look_at": {"origin": [0, 1, 0], "target": [0.3, 0.4, -40]}},
+            },
             "film": {"width": 16, "height": 16},
             "textures": {"c": {"type": "checker", "color0": 0, "color1": 1}},
             "materials": {"m": {"type": "diffuse", "base_color": {"texture": "c"}}},
@@ -140,7 +151,11 @@ def test_regular_sampling_aliases_where_jitter_makes_noise(render: Any) -> None:
     def board(sampler: str, seed: int) -> Any:
         return render(
             {
-                "camera": {"type": "perspective", "fov": 30, "transform": {"look_at": {"origin": [0, 1, 0], "target": [0, 0.5, -10]}}},
+                "camera": {
+                    "type": "perspective",
+                    "fov": 30,
+                    "transform": {"look_at": {"origin": [0, 1, 0], "target": [0, 0.5, -10]}},
+                },
                 "film": {"width": 32, "height": 16},
                 "textures": {"c": {"type": "checker", "color0": 0, "color1": 1}},
                 "materials": {"m": {"type": "diffuse", "base_color": {"texture": "c"}}},
