@@ -1,8 +1,8 @@
-"""One job from its plan to its picture: plan -> engine -> film -> stop or go on.
+"""One job from its plan to its picture: plan -> engine -> canvas -> stop or go on.
 
-Threads: `run` blocks in the thread that calls it, which alone touches the film. The engine's thread calls
-`next_lease` and `deliver`, which take a lock for the planner and put news into a queue. `halt` may be called
-from anywhere. Callbacks come on the thread of `run`.
+Threads: `run` blocks in the thread that calls it, which alone touches the canvas. The engine's thread calls
+`next_lease` and `deliver`, which share the planner under a lock and put news into a queue. `halt` may be
+called from anywhere. Callbacks come on the thread of `run`.
 """
 
 from __future__ import annotations
@@ -12,18 +12,16 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
-from pathlib import Path
+from collections.abc import Callable
 from typing import Final
 
 from penumbra_kernels.nodes import Tile
 from penumbra_scene.check import scene_hash
 from penumbra_scene.job import JobState, Progress, StopReason
-from penumbra_scene.scene import Scene
 
 from penumbra_service.engine import snapshot
+from penumbra_service.engine.canvas import Canvas
+from penumbra_service.engine.clock import TraceClock
 from penumbra_service.engine.progress import Now, forecast, progress_of
 from penumbra_service.engine.protocol import (
     DeviceDescription,
@@ -38,19 +36,20 @@ from penumbra_service.engine.protocol import (
     ToJob,
 )
 from penumbra_service.engine.snapshot import Snapshot, kernel_hash
-from penumbra_service.film.develop import Developed, develop_bands
-from penumbra_service.film.error import TileSummary, image_error
-from penumbra_service.film.film import MEMORY_LIMIT, Film
+from penumbra_service.engine.task import Failure, Halt, RenderTask, RunFailedError, RunResult
+from penumbra_service.film.film import Film
 from penumbra_service.film.grid import TileGrid
-from penumbra_service.film.predict import Point, fit_theta
-from penumbra_service.film.preview import Preview, PreviewImage
-from penumbra_service.film.replicates import Layout, choose_layout
+from penumbra_service.film.predict import fit_theta
+from penumbra_service.film.preview import PreviewImage
+from penumbra_service.film.replicates import choose_layout
 from penumbra_service.film.stop import StopRule
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.batches import Batches
 from penumbra_service.jobs.life import DeviceCrashed, Life, SceneReady, StopReached, WentWrong, step
 from penumbra_service.jobs.planning import LeasePlanner, WorkItem
-from penumbra_service.jobs.record import DeviceUse, Effect, Foretold, PixelCounts, RunRecord
+from penumbra_service.jobs.record import DeviceUse, Effect, Foretold, RunRecord
+
+__all__ = ["Failure", "Halt", "JobRunner", "RenderTask", "RunResult"]
 
 log = logging.getLogger(__name__)
 
@@ -73,71 +72,11 @@ LARGE_WINDOW: Final = 2 * 1024 * 1024
 """Pixels from which tiles are larger, so that files stay few."""
 
 
-class Halt(StrEnum):
-    """Why a run is asked to end early."""
-
-    PAUSE = "pause"
-    """Keep a snapshot: another run can go on."""
-    CANCEL = "cancel"
-    """Keep nothing."""
-
-
-@dataclass(frozen=True)
-class RenderTask:
-    """A job to run."""
-
-    job: str
-    scene: Scene
-    """As it is to be rendered."""
-    folder: Path
-    """The job's own; a snapshot in it is continued."""
-    assets_folder: Path | None = None
-    """Assets by content."""
-    scene_folder: Path | None = None
-    """What `file` references are relative to; None: they are refused."""
-    time: float = 0.0
-    """Seconds: when the scene is looked at."""
-    priority: int = 0
-    program: str = "specialised"
-    memory_limit: int = MEMORY_LIMIT
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Why a run failed. kind: 'scene', 'build', 'crash', 'device', 'storage'."""
-
-    kind: str
-    message: str
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """How a run ended. state: FINISHING (the picture is there, to be written), PAUSED, CANCELLED or
-    FAILED."""
-
-    state: JobState
-    record: RunRecord
-    reason: StopReason | None = None
-    failure: Failure | None = None
-    film: Film | None = None
-    end: int = 0
-    """Samples a replicate that make the picture."""
-    layers: tuple[str, ...] = ()
-
-    def bands(self) -> Iterator[Developed]:
-        """The picture's channels, as bands of scanlines from the top."""
-        assert self.film is not None
-        return develop_bands(self.film, self.end, self.layers)
-
-
-class _RunFailedError(Exception):
-    def __init__(self, kind: str, message: str) -> None:
-        super().__init__(message)
-        self.failure = Failure(kind, message)
-
-
 class JobRunner:
-    """Runs one RenderTask on an engine, once. Implements protocol.LeaseSource."""
+    """Runs one RenderTask on an engine, once. Implements protocol.LeaseSource.
+
+    Raises film.replicates.UnknownErrorTargetError where an error is asked for that cannot be known.
+    """
 
     def __init__(
         self,
@@ -151,15 +90,33 @@ class JobRunner:
         self._task = task
         self._on_progress = on_progress
         self._on_preview = on_preview
-        self._layout: Layout = choose_layout(task.scene.sampler, task.scene.stop)
+        self._layout = choose_layout(task.scene.sampler, task.scene.stop)
         window = task.scene.film.window
         self._window = Tile(window.x, window.y, window.width, window.height)
-        self._lock = threading.Lock()
+        self._pixels = window.width * window.height
+        stop = task.scene.stop
+        self._rule = StopRule(
+            self._layout.replicates,
+            self._layout.samples_per_replicate,
+            stop.seconds,
+            stop.relative_error,
+            stop.confidence,
+        )
+        self._spec = self._make_spec()
+        self._key = f"{self._spec.key}-{kernel_hash()}"
+        self._store = FolderTileStore(task.folder / "tiles")
+        self._record = RunRecord()
+        self._life = Life(JobState.COMPILING)
         self._inbox: queue.SimpleQueue[tuple[DeviceDescription, ToJob] | None] = queue.SimpleQueue()
         self._halt: Halt | None = None
+        self._told: tuple[JobState, Progress] | None = None
+        self._last_progress = self._last_preview = -math.inf
+        self._lock = threading.Lock()
+        # Below: shared with the engine's thread, under the lock.
+        self._planner = LeasePlanner(self._layout.replicates)
         self._closed = False
         self._hungry = False
-        self._excluded: dict[str, str] = {}
+        self._excluded: set[str] = set()
         self._numbers: dict[str, int] = {}
 
     @property
@@ -204,7 +161,7 @@ class JobRunner:
             self._prepare()
             self._engine.attach(self)
             return self._loop()
-        except _RunFailedError as failed:
+        except RunFailedError as failed:
             return self._fail(failed.failure)
         except OSError as error:
             log.exception("job %s: its folder cannot be used", self.job)
@@ -213,86 +170,54 @@ class JobRunner:
             self._close()
             self._engine.detach(self)
 
-    def _prepare(self) -> None:
-        task, layout = self._task, self._layout
-        folder = task.folder
-        folder.mkdir(parents=True, exist_ok=True)
-        store = FolderTileStore(folder / "tiles")
-        digest = scene_hash(task.scene)
-        FolderTileStore(folder).write("scene.json", task.scene.model_dump_json().encode())
-        self._spec = RenderSpec(
-            scene_path=str((folder / "scene.json").resolve()),
-            scene_hash=digest,
+    def _make_spec(self) -> RenderSpec:
+        task = self._task
+        return RenderSpec(
+            scene_path=str((task.folder / "scene.json").resolve()),
+            scene_hash=scene_hash(task.scene),
             assets_folder=None if task.assets_folder is None else str(task.assets_folder.resolve()),
             scene_folder=None if task.scene_folder is None else str(task.scene_folder.resolve()),
             time=task.time,
-            replicates=layout.replicates,
-            strata=layout.strata,
+            replicates=self._layout.replicates,
+            strata=self._layout.strata,
             program=task.program,
         )
-        self._store = store
-        self._life = Life(JobState.COMPILING)
-        self._key = f"{self._spec.key}-{kernel_hash()}"
-        stop = task.scene.stop
-        self._rule = StopRule(
-            layout.replicates,
-            layout.samples_per_replicate,
-            stop.seconds,
-            stop.relative_error,
-            stop.confidence,
-        )
-        self._planner = LeasePlanner(layout.replicates)
-        self._restore(snapshot.load(store, self._key))
-        self._preview = Preview(self._window)
-        self._summaries: dict[Tile, TileSummary] = {}
-        self._clock_started: float | None = None
-        self._share = 0.0
-        self._told: tuple[JobState, Progress] | None = None
-        self._last_progress = self._last_preview = -math.inf
-        self._next_snapshot = time.monotonic() + SNAPSHOT_SECONDS
-        self._film_changed = False
-        self._samples_done = self._count_samples()
-        self._summarize_complete()
 
-    def _restore(self, kept: Snapshot | None) -> None:
-        layout = self._layout
-        if kept is None:
-            for name in self._store.names():
-                self._store.delete(name)
-            record = RunRecord(
-                replicates=layout.replicates, strata=layout.strata, deterministic=layout.deterministic
-            )
-            record.kernel_hash = kernel_hash()
-            kept = Snapshot(self._key, self._choose_tile_size(), 0, (), record)
+    def _prepare(self) -> None:
+        """Read the snapshot, if there is one, and plan what it lacks."""
+        scene = self._task.scene.model_dump_json().encode()
+        FolderTileStore(self._task.folder).write("scene.json", scene)
+        kept = snapshot.load(self._store, self._key) or self._fresh()
         self._record = kept.record
-        self._life = Life(JobState.COMPILING, self._record.crashes)
-        self._batches = Batches(self._rule, kept.checked, ends=self._record.ends)
-        self._batches.reopen(kept.open_ends)
+        self._life = Life(JobState.COMPILING, kept.record.crashes)
+        self._clock = TraceClock(kept.record.seconds)
         self._tile_size = kept.tile_size
-        self._film = Film(
+        batches = Batches(self._rule, kept.checked, ends=kept.record.ends)
+        batches.reopen(kept.open_ends)
+        film = Film(
             TileGrid(self._window, kept.tile_size),
-            layout.replicates,
+            self._layout.replicates,
             self._store,
             self._key,
-            deterministic=layout.deterministic,
+            deterministic=self._layout.deterministic,
             memory_limit=self._task.memory_limit,
         )
-        self._film.restore(self._batches.barriers)
-        for first, end in self._batches.ranges:
-            self._planner.add(self._items(first, end))
+        self._canvas = Canvas(film, batches, kept.record)
+        self._planner.add(self._canvas.missing())
+        self._next_snapshot = time.monotonic() + SNAPSHOT_SECONDS
+
+    def _fresh(self) -> Snapshot:
+        """A run from the start: whatever lies in the folder is of no use."""
+        for name in self._store.names():
+            self._store.delete(name)
+        layout = self._layout
+        record = RunRecord(layout.replicates, layout.strata, layout.deterministic, kernel_hash=kernel_hash())
+        return Snapshot(self._key, self._choose_tile_size(), 0, (), record)
 
     def _choose_tile_size(self) -> int:
-        pixels = self._window.width * self._window.height
-        if pixels >= LARGE_WINDOW / 2 and any(device.kind == "gpu" for device in self._engine.usable()):
+        if self._pixels >= LARGE_WINDOW / 2 and any(device.kind == "gpu" for device in self._engine.usable()):
             return GPU_TILE_SIZE
-        return LARGE_TILE_SIZE if pixels >= LARGE_WINDOW else TILE_SIZE
-
-    def _count_samples(self) -> int:
-        return sum(
-            count * self._layout.replicates * tile.width * tile.height
-            for tile in self._film.tiles
-            for _, count in self._film.ranges(tile)
-        )
+        return LARGE_TILE_SIZE if self._pixels >= LARGE_WINDOW else TILE_SIZE
 
     def _loop(self) -> RunResult:
         while True:
@@ -302,7 +227,7 @@ class JobRunner:
             self._hear()
             if self._halt is not None:
                 return self._halted(self._halt)
-            if self._batches.overdue(self._seconds(), self._remaining_seconds):
+            if self._canvas.batches.overdue(self._clock.seconds, self._remaining_seconds):
                 return self._finish("seconds")
             self._tell()
             self._keep()
@@ -312,7 +237,7 @@ class JobRunner:
         try:
             entry = self._inbox.get(timeout=TICK_SECONDS)
             while True:
-                if entry is not None and not self._closed:
+                if entry is not None:
                     self._take(*entry)
                 entry = self._inbox.get_nowait()
         except queue.Empty:
@@ -331,7 +256,7 @@ class JobRunner:
             case LeaseFailure():
                 self._take_failure(device, event)
             case NoDevice(reason):
-                raise _RunFailedError("device", reason)
+                raise RunFailedError("device", reason)
 
     def _take_result(self, device: DeviceDescription, result: LeaseResult) -> None:
         with self._lock:
@@ -339,22 +264,16 @@ class JobRunner:
             planned = None if number is None else self._planner.done(number, device.id, result.seconds)
         if planned is None:
             return
-        self._start_clock()
+        self._clock.start()
         use = self._use_of(device)
         use.leases += 1
         use.seconds += result.seconds
         self._record.trace_seconds += result.seconds
-        for node in result.nodes:
-            if self._film.add(node):
-                self._samples_done += node.sums.size * node.sample_count
-                self._film_changed = True
-        for tile in {node.tile for node in result.nodes}:
-            self._summarize(tile)
-        self._mend_lost()
+        self._canvas.take(result.nodes)
 
     def _take_scene(self, device: DeviceDescription, loaded: SceneLoaded) -> None:
         record = self._record
-        self._start_clock()
+        self._clock.start()
         self._life, _ = step(self._life, SceneReady())
         record.build_seconds += loaded.build_seconds
         record.compile_seconds += loaded.compile_seconds
@@ -367,19 +286,22 @@ class JobRunner:
 
     def _take_failure(self, device: DeviceDescription, failure: LeaseFailure) -> None:
         if failure.kind == "scene":
-            raise _RunFailedError("scene", failure.message)
+            raise RunFailedError("scene", failure.message)
         self._give_back(failure.lease)
         if failure.kind != "build":
             self._crashed(f"device {device.id}: {failure.message}")
             return
+        first = device.id not in self._excluded
         with self._lock:
-            self._excluded[device.id] = failure.message
-            self._planner.devices = max(len(self._others()), 1)
-        if not self._others():
-            raise _RunFailedError("build", failure.message)
-        self._record.warnings.append(f"device {device.id} was left out: {failure.message.splitlines()[0]}")
+            self._excluded.add(device.id)
+        if not self._helpers():
+            raise RunFailedError("build", failure.message)
+        if first:
+            reason = failure.message.splitlines()[0]
+            self._record.warnings.append(f"device {device.id} was left out: {reason}")
 
-    def _others(self) -> list[DeviceDescription]:
+    def _helpers(self) -> list[DeviceDescription]:
+        """Devices that may work on this job."""
         return [device for device in self._engine.usable() if device.id not in self._excluded]
 
     def _give_back(self, lease: str) -> None:
@@ -395,7 +317,7 @@ class JobRunner:
         self._record.crashes = self._life.crashes
         self._save()
         if self._life.state is JobState.FAILED:
-            raise _RunFailedError("crash", self._life.reason or reason)
+            raise RunFailedError("crash", self._life.reason or reason)
 
     def _use_of(self, device: DeviceDescription) -> DeviceUse:
         key = f"{device.id} {device.bit_class}"
@@ -405,100 +327,51 @@ class JobRunner:
             )
         return self._record.devices[key]
 
-    def _mend_lost(self) -> None:
-        """Tiles whose file broke while it was not in memory start again."""
-        for tile in self._film.take_lost():
-            log.warning("job %s: the file of %s is broken, the tile starts again", self.job, tile)
-            self._summaries.pop(tile, None)
-            items = [item for first, end in self._batches.ranges for item in self._items(first, end, [tile])]
-            with self._lock:
-                self._planner.add(items)
-            self._samples_done = self._count_samples()
-            self._engine.wake()
-
     def _advance(self) -> str | None:
         """Open batches, and check the current one where it is complete; why to stop, if so."""
         while True:
+            self._plan(self._canvas.take_lost())
             self._open()
-            if self._batches.current is None:
+            if self._canvas.batches.current is None:
                 return "seconds"  # the time rule leaves no room for another batch
-            if len(self._summaries) < len(self._film.tiles):
+            if not self._canvas.complete:
                 return None
-            reason = self._check()
+            reason = self._canvas.check(self._clock.seconds, self._rule.confidence)
+            self._tell(force=True)
             if reason is not None:
                 return reason
-            self._summarize_complete()
+            self._foretell()
+            self._save()
+            self._canvas.proceed()
 
     def _open(self) -> None:
         """One more batch where the devices would run dry."""
-        added = False
-        with self._lock:
-            self._hungry = False
-            self._planner.devices = max(len(self._others()), 1)
-            while self._planner.idle:
+        while True:
+            with self._lock:
+                self._hungry = False
+                self._planner.devices = max(len(self._helpers()), 1)
+                idle = self._planner.idle
+                open_samples = self._planner.out_samples / (self._pixels * self._layout.replicates)
                 rate = self._rate()
-                open_samples = (self._planner.ready_samples + self._planner.out_samples) / self._pixels
-                left = self._batches.seconds_left(self._seconds(), open_samples, rate)
-                opened = self._batches.open_next(rate, left)
-                if opened is None:
-                    break
-                self._film.set_barriers(self._batches.barriers)
-                self._save()
-                self._planner.add(self._items(*opened))
-                added = True
-        if added:
-            self._summarize_complete()
+            if not idle:
+                return
+            left = self._canvas.batches.seconds_left(self._clock.seconds, open_samples, rate)
+            items = self._canvas.open_next(rate, left)
+            if items is None:
+                return
+            self._save()
+            self._plan(items)
+
+    def _plan(self, items: list[WorkItem]) -> None:
+        if items:
+            with self._lock:
+                self._planner.add(items)
             self._engine.wake()
-
-    def _items(self, first: int, end: int, tiles: Sequence[Tile] = ()) -> list[WorkItem]:
-        """What these tiles (default: all) lack of samples [first, end)."""
-        film = self._film
-        return [WorkItem(t, at, n) for t in tiles or film.tiles for at, n in film.missing(t, first, end)]
-
-    @property
-    def _pixels(self) -> int:
-        """Pixels times replicates."""
-        return self._window.width * self._window.height * self._layout.replicates
 
     def _rate(self) -> float | None:
         """Samples a replicate per second, of the whole picture."""
         rate = self._planner.rate
-        return rate / self._pixels if rate else None
-
-    def _summarize(self, tile: Tile) -> None:
-        """A tile has new nodes: if it is complete up to the current end, pool its statistics."""
-        end = self._batches.current
-        if end is None or tile in self._summaries or not self._film.complete(tile, end):
-            return
-        pixels, summary = self._film.summary(tile, end)
-        self._summaries[tile] = summary
-        self._preview.put(pixels)
-
-    def _summarize_complete(self) -> None:
-        for tile in self._film.tiles:
-            self._summarize(tile)
-        self._mend_lost()
-
-    def _check(self) -> str | None:
-        """The current batch is complete: look at the picture."""
-        end = self._batches.current
-        assert end is not None
-        summaries = [self._summaries[tile] for tile in self._film.tiles]
-        error = image_error(summaries)
-        confidence = self._task.scene.stop.confidence
-        samples = end * self._layout.replicates
-        upper = error.upper(confidence) if error.known else math.nan
-        seconds = self._seconds()
-        self._record.points.append(Point(samples, seconds, error.relmse, upper, error.deviation, error.mse))
-        self._record.counts = _counts(summaries)
-        reason = self._batches.check(seconds, error)
-        if reason is None:
-            self._foretell()
-            self._save()
-            self._film.set_barriers(self._batches.barriers)
-            self._summaries.clear()
-        self._tell(force=True)
-        return reason
+        return rate / (self._pixels * self._layout.replicates) if rate else None
 
     def _foretell(self) -> None:
         record = self._record
@@ -510,38 +383,17 @@ class JobRunner:
         if told is not None:
             record.foretold = Foretold(record.points[-1].samples, told.samples, told.seconds)
 
-    def _start_clock(self) -> None:
-        if self._clock_started is None:
-            self._clock_started = time.monotonic()
-
-    def _seconds(self) -> float:
-        """Of tracing, by the clock, over all runs of this job."""
-        running = 0.0 if self._clock_started is None else time.monotonic() - self._clock_started
-        return self._record.seconds + running
-
-    def _stop_clock(self) -> None:
-        self._record.seconds = self._seconds()
-        self._clock_started = None
-
     def _remaining_seconds(self) -> float:
         """What the current batch still takes."""
-        rate, end = self._rate(), self._batches.current
-        if rate is None or end is None:
-            return math.inf
-        missing = sum(
-            count * tile.width * tile.height
-            for tile in self._film.tiles
-            if tile not in self._summaries
-            for _, count in self._film.missing(tile, self._batches.checked, end)
-        )
-        return missing / (self._window.width * self._window.height) / rate
+        rate = self._rate()
+        return math.inf if rate is None else self._canvas.missing_samples() / rate
 
     def _now(self) -> Now:
         rate = self._rate()
-        done = self._samples_done / (self._window.width * self._window.height)
-        return Now(done, self._seconds(), 1 / (rate * self._layout.replicates) if rate else None)
+        per_sample = 1 / (rate * self._layout.replicates) if rate else None
+        return Now(self._canvas.samples, self._clock.seconds, per_sample)
 
-    def _tell(self, force: bool = False) -> None:
+    def _tell(self, force: bool = False, share: float = 0.0) -> None:
         """Progress and preview, if it is time."""
         now = time.monotonic()
         if not force and now < self._last_progress + PROGRESS_SECONDS:
@@ -549,89 +401,62 @@ class JobRunner:
         self._last_progress = now
         standing = self._now()
         told = forecast(self._rule, self._record.points, standing)
-        progress = progress_of(self._rule, self._record, told, standing, self._share)
-        self._share = progress.progress
+        before = 0.0 if self._told is None else self._told[1].progress
+        progress = progress_of(self._rule, self._record, told, standing, max(before, share))
         news = (self._life.state, progress)
         if news != self._told:
             self._told = news
             self._on_progress(*news)
-        if self._preview.changed and now >= self._last_preview + PREVIEW_SECONDS:
+        if self._canvas.preview.changed and (share == 1.0 or now >= self._last_preview + PREVIEW_SECONDS):
             self._last_preview = now
-            self._on_preview(self._preview.image())
+            self._on_preview(self._canvas.preview.image())
 
     def _keep(self) -> None:
         """A snapshot, if it is time."""
         started = time.monotonic()
-        if self._film_changed and started >= self._next_snapshot:
-            self._write_snapshot()
+        if self._canvas.changed and started >= self._next_snapshot:
+            self._save()
+            self._canvas.flush()
             taken = time.monotonic() - started
             self._next_snapshot = time.monotonic() + max(SNAPSHOT_SECONDS, SNAPSHOT_SHARE * taken)
 
-    def _write_snapshot(self) -> None:
-        self._save()
-        self._film.flush()
-        self._film_changed = False
-
     def _save(self) -> None:
         """The state without the sums. It must be on disk before any tile that depends on it."""
-        was_running = self._clock_started is not None
-        self._stop_clock()
-        if was_running:
-            self._start_clock()
-        ends = self._batches.open_ends
-        snapshot.save(
-            self._store, Snapshot(self._key, self._tile_size, self._batches.checked, ends, self._record)
-        )
+        self._record.seconds = self._clock.seconds
+        batches = self._canvas.batches
+        kept = Snapshot(self._key, self._tile_size, batches.checked, batches.open_ends, self._record)
+        snapshot.save(self._store, kept)
 
     def _close(self) -> None:
+        """Hand out no more."""
         with self._lock:
             self._closed = True
-            if hasattr(self, "_planner"):
-                self._planner.drop()
+            self._planner.drop()
 
     def _finish(self, reason: str) -> RunResult:
         """The picture is there."""
         self._close()
-        self._stop_clock()
-        end = self._batches.settle()
-        self._film.set_barriers((end,))
+        self._clock.stop()
+        self._record.seconds = self._clock.seconds
+        end = self._canvas.settle()
         self._life, _ = step(self._life, StopReached())
-        self._share = 1.0
-        self._tell(force=True)
-        if self._preview.changed:
-            self._on_preview(self._preview.image())
+        self._tell(force=True, share=1.0)
         layers = self._task.scene.film.layers
-        return RunResult(
-            self._life.state, self._record, StopReason(reason), film=self._film, end=end, layers=layers
-        )
+        why = StopReason(reason)
+        return RunResult(self._life.state, self._record, why, film=self._canvas.film, end=end, layers=layers)
 
     def _halted(self, halt: Halt) -> RunResult:
         self._close()
-        self._stop_clock()
+        self._clock.stop()
+        self._record.seconds = self._clock.seconds
         if halt is Halt.CANCEL:
             return RunResult(JobState.CANCELLED, self._record, StopReason.CANCELLED)
-        self._write_snapshot()
+        self._save()
+        self._canvas.flush()
         return RunResult(JobState.PAUSED, self._record)
 
     def _fail(self, failure: Failure) -> RunResult:
         self._close()
-        record = getattr(self, "_record", RunRecord())
-        if hasattr(self, "_life") and not self._life.state.ended:
+        if not self._life.state.ended:
             self._life, _ = step(self._life, WentWrong(failure.message))
-        return RunResult(JobState.FAILED, record, StopReason.FAILED, failure)
-
-
-def _counts(summaries: list[TileSummary]) -> PixelCounts:
-    counts = PixelCounts(
-        taken=sum(s.taken for s in summaries),
-        lit=sum(s.lit for s in summaries),
-        rejected=sum(s.rejected for s in summaries),
-        pixels=sum(s.all_pixels for s in summaries),
-        flagged=sum(s.untrusted for s in summaries),
-    )
-    for summary in summaries:
-        for name, count in summary.flagged.items():
-            counts.flags[name] = counts.flags.get(name, 0) + count
-        for name, count in summary.rejected_in.items():
-            counts.rejected_in[name] = counts.rejected_in.get(name, 0) + count
-    return counts
+        return RunResult(JobState.FAILED, self._record, StopReason.FAILED, failure)

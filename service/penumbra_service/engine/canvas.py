@@ -1,0 +1,164 @@
+"""What a run has rendered so far: the film, the batches that it is made of, and what is known of their error.
+
+One thread. Nothing here knows devices, leases or clocks.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterable
+
+from penumbra_kernels.nodes import SumNode, Tile
+
+from penumbra_service.film.error import TileSummary, image_error
+from penumbra_service.film.film import Film
+from penumbra_service.film.predict import Point
+from penumbra_service.film.preview import Preview
+from penumbra_service.film.stop import Reason
+from penumbra_service.jobs.batches import Batches
+from penumbra_service.jobs.planning import WorkItem
+from penumbra_service.jobs.record import PixelCounts, RunRecord
+
+log = logging.getLogger(__name__)
+
+
+class Canvas:
+    """Takes nodes in, and says what is missing, what is complete, and whether it is enough."""
+
+    def __init__(self, film: Film, batches: Batches, record: RunRecord) -> None:
+        self.film = film
+        self.batches = batches
+        self.record = record
+        self.preview = Preview(film.grid.window)
+        self.changed = False
+        """Whether there are nodes that no snapshot holds."""
+        self._summaries: dict[Tile, TileSummary] = {}
+        film.restore(batches.barriers)
+        self._samples = self._count_samples()
+        self._summarize(film.tiles)
+
+    @property
+    def window_pixels(self) -> int:
+        return self.film.grid.window.width * self.film.grid.window.height
+
+    @property
+    def samples(self) -> float:
+        """A pixel, on average over the picture, those of open batches included."""
+        return self._samples / self.window_pixels
+
+    @property
+    def complete(self) -> bool:
+        """Whether the batch that is to be checked next is there in every tile."""
+        return self.batches.current is not None and len(self._summaries) == len(self.film.tiles)
+
+    def missing(self, tiles: Iterable[Tile] | None = None) -> list[WorkItem]:
+        """What is asked for and not there, in order of the batches."""
+        wanted = self.film.tiles if tiles is None else list(tiles)
+        return [item for first, end in self.batches.ranges for item in self._items(wanted, first, end)]
+
+    def open_next(self, rate: float | None, seconds_left: float | None) -> list[WorkItem] | None:
+        """Begin one more batch: what it lacks. None where the rule allows none now."""
+        opened = self.batches.open_next(rate, seconds_left)
+        if opened is None:
+            return None
+        self.film.set_barriers(self.batches.barriers)
+        self._summarize(self.film.tiles)
+        return self._items(self.film.tiles, *opened)
+
+    def take(self, nodes: Iterable[SumNode]) -> None:
+        """Add nodes. Raises ValueError for one that was not asked for, OSError where a tile cannot be
+        written."""
+        touched = []
+        for node in nodes:
+            if self.film.add(node):
+                self._samples += node.sums.size * node.sample_count
+                self.changed = True
+                touched.append(node.tile)
+        self._summarize(dict.fromkeys(touched))
+
+    def take_lost(self) -> list[WorkItem]:
+        """What must be done again since a tile's file broke while it was not in memory."""
+        lost = self.film.take_lost()
+        for tile in lost:
+            log.warning("the file of %s is broken: the tile starts again", tile)
+            self._summaries.pop(tile, None)
+        if lost:
+            self._samples = self._count_samples()
+        return self.missing(lost)
+
+    def check(self, seconds: float, confidence: float) -> Reason | None:
+        """Look at the picture, whose current batch is complete: why to stop, or None to go on. The caller
+        saves the state before it calls `proceed`."""
+        end = self.batches.current
+        assert end is not None
+        summaries = [self._summaries[tile] for tile in self.film.tiles]
+        error = image_error(summaries)
+        upper = error.upper(confidence) if error.known else math.nan
+        samples = end * self.film.replicates
+        self.record.points.append(Point(samples, seconds, error.relmse, upper, error.deviation, error.mse))
+        self.record.counts = count_pixels(summaries)
+        return self.batches.check(seconds, error)
+
+    def proceed(self) -> None:
+        """Go on with the next batch after a check."""
+        self.film.set_barriers(self.batches.barriers)
+        self._summaries.clear()
+        self._summarize(self.film.tiles)
+
+    def settle(self) -> int:
+        """Samples a replicate that make the picture; what lies beyond is left out."""
+        end = self.batches.settle()
+        self.film.set_barriers((end,))
+        return end
+
+    def missing_samples(self) -> float:
+        """Samples a replicate that the current batch lacks, on average over the picture."""
+        end = self.batches.current
+        if end is None:
+            return 0.0
+        tiles = [tile for tile in self.film.tiles if tile not in self._summaries]
+        items = self._items(tiles, self.batches.checked, end)
+        return sum(item.count * item.tile.width * item.tile.height for item in items) / self.window_pixels
+
+    def flush(self) -> None:
+        """Write all tiles that have changed. Raises OSError."""
+        self.film.flush()
+        self.changed = False
+
+    def _items(self, tiles: Iterable[Tile], first: int, end: int) -> list[WorkItem]:
+        return [WorkItem(t, at, count) for t in tiles for at, count in self.film.missing(t, first, end)]
+
+    def _summarize(self, tiles: Iterable[Tile]) -> None:
+        """Pool the statistics of those tiles that have become complete up to the current end."""
+        end = self.batches.current
+        if end is None:
+            return
+        for tile in tiles:
+            if tile not in self._summaries and self.film.complete(tile, end):
+                pixels, self._summaries[tile] = self.film.summary(tile, end)
+                self.preview.put(pixels)
+
+    def _count_samples(self) -> int:
+        return sum(
+            count * self.film.replicates * tile.width * tile.height
+            for tile in self.film.tiles
+            for _, count in self.film.ranges(tile)
+        )
+
+
+def count_pixels(summaries: list[TileSummary]) -> PixelCounts:
+    """Samples and pixels of a whole picture."""
+    counts = PixelCounts(
+        taken=sum(s.taken for s in summaries),
+        lit=sum(s.lit for s in summaries),
+        rejected=sum(s.rejected for s in summaries),
+        pixels=sum(s.all_pixels for s in summaries),
+        flagged=sum(s.untrusted for s in summaries),
+    )
+    for summary in summaries:
+        for name, count in summary.flagged.items():
+            counts.flags[name] = counts.flags.get(name, 0) + count
+        for name, count in summary.rejected_in.items():
+            counts.rejected_in[name] = counts.rejected_in.get(name, 0) + count
+    return counts

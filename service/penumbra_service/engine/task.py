@@ -1,0 +1,80 @@
+"""What a run is asked to do, and how it can end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from penumbra_scene.job import JobState, StopReason
+from penumbra_scene.scene import Scene
+
+from penumbra_service.film.develop import Developed, develop_bands
+from penumbra_service.film.film import MEMORY_LIMIT, Film
+from penumbra_service.jobs.record import RunRecord
+
+
+class Halt(StrEnum):
+    """Why a run is asked to end early."""
+
+    PAUSE = "pause"
+    """Keep a snapshot: another run can go on."""
+    CANCEL = "cancel"
+    """Keep nothing."""
+
+
+@dataclass(frozen=True)
+class RenderTask:
+    """A job to run."""
+
+    job: str
+    scene: Scene
+    """As it is to be rendered."""
+    folder: Path
+    """The job's own; a snapshot in it is continued."""
+    assets_folder: Path | None = None
+    """Assets by content."""
+    scene_folder: Path | None = None
+    """What `file` references are relative to; None: they are refused."""
+    time: float = 0.0
+    """Seconds: when the scene is looked at."""
+    priority: int = 0
+    program: str = "specialised"
+    memory_limit: int = MEMORY_LIMIT
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a run failed. kind: 'scene', 'build', 'crash', 'device', 'storage'."""
+
+    kind: str
+    message: str
+
+
+class RunFailedError(Exception):
+    """Ends a run."""
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.failure = Failure(kind, message)
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended. state: FINISHING (the picture is there, to be written), PAUSED, CANCELLED or
+    FAILED."""
+
+    state: JobState
+    record: RunRecord
+    reason: StopReason | None = None
+    failure: Failure | None = None
+    film: Film | None = None
+    end: int = 0
+    """Samples a replicate that make the picture."""
+    layers: tuple[str, ...] = ()
+
+    def bands(self) -> Iterator[Developed]:
+        """The picture's channels, as bands of scanlines from the top."""
+        assert self.film is not None
+        return develop_bands(self.film, self.end, self.layers)
