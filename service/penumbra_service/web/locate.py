@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from json.decoder import scanstring
 from typing import Final
 
-_DECODER: Final = json.JSONDecoder()
+_DECODER: Final = json.JSONDecoder(strict=False)
 _SPACE: Final = " \t\n\r"
 
 
@@ -45,7 +44,7 @@ def _child(text: str, at: int, step: str) -> int | None:
 
 def _member(text: str, at: int, wanted: str) -> int | None:
     while text[at] == '"':
-        key, at = scanstring(text, at + 1, True)
+        key, at = _DECODER.raw_decode(text, at)
         at = _skip(text, _skip(text, at) + 1)  # past the colon
         if key == wanted:
             return at

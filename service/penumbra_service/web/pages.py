@@ -104,7 +104,7 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
 
 
 def error_in_words(status: JobStatus) -> str:
-    """'2.1 % (1.9 to 2.4 %)'."""
+    """'2.1 % (1.9–2.4 %)'."""
     if status.relative_error is None:
         return words.UNKNOWN
     text = words.percent(status.relative_error)
@@ -113,7 +113,7 @@ def error_in_words(status: JobStatus) -> str:
         return text
     if interval.high is None:
         return f"{text} (at least {words.percent(interval.low)})"
-    return f"{text} ({words.percent(interval.low)} to {words.percent(interval.high)})"
+    return f"{text} ({words.percent(interval.low).removesuffix(' %')}–{words.percent(interval.high)})"
 
 
 def _stop(status: JobStatus) -> str:

@@ -18,7 +18,8 @@ WIDTH: Final = 460
 HEIGHT: Final = 260
 LEFT, RIGHT, TOP, BOTTOM = 62, 14, 14, 40
 _FEWEST_POINTS: Final = 2
-_STEPS: Final = (1.0, 2.0, 5.0)
+_STEPS: Final = ((1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0), (1.0, 2.0, 3.0, 5.0), (1.0, 2.0, 5.0), (1.0,))
+"""Ticks within a decade, from the finest choice to the coarsest."""
 _MOST_TICKS: Final = 6
 
 
@@ -125,7 +126,7 @@ def _axis(values: Sequence[float], start: float, end: float) -> _Axis:
 
 def _ticks(axis: _Axis, name: Callable[[float], str]) -> tuple[Tick, ...]:
     first, last = math.floor(math.log10(axis.low)), math.ceil(math.log10(axis.high))
-    for steps in (_STEPS, (1.0,)):
+    for steps in _STEPS:
         values = [step * 10.0**power for power in range(first, last + 1) for step in steps]
         inside = [v for v in values if axis.low <= v <= axis.high]
         if len(inside) <= _MOST_TICKS:
