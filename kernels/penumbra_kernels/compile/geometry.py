@@ -23,6 +23,7 @@ from penumbra_kernels.compile.materials import BLACK_MATERIAL, DEFAULT_MATERIAL
 from penumbra_kernels.compile.placement import Motion, Shutter, static_motion
 from penumbra_kernels.compile.primitives import (
     NONE,
+    Growing,
     TreeItems,
     Vertices,
     add_disc,
@@ -31,7 +32,7 @@ from penumbra_kernels.compile.primitives import (
     add_triangles,
 )
 from penumbra_kernels.compile.transforms import is_similarity
-from penumbra_kernels.layout import INSTANCE, SHAPE
+from penumbra_kernels.layout import INSTANCE, KEYFRAME, SHAPE
 
 Surface = Sphere | Quad | Disc | Mesh
 
@@ -127,7 +128,7 @@ class _Compiler:
         self.shapes: list[NDArray[Any]] = []
         self.records: list[ShapeRecord] = []
         self.instances: list[NDArray[Any]] = []
-        self.keyframes: list[NDArray[Any]] = []
+        self.keyframes = Growing(KEYFRAME)
         self.prototypes: dict[str, list[_Part]] = {}
 
     def compile(self) -> CompiledGeometry:
@@ -242,10 +243,8 @@ class _Compiler:
         return index
 
     def _add_keyframes(self, motion: Motion) -> tuple[int, int]:
-        first = sum(len(keys) for keys in self.keyframes)
         keys = motion.keyframes()
-        self.keyframes.append(keys)
-        return first, len(keys)
+        return self.keyframes.append(keys), len(keys)
 
     def _instance(self, instance: Instance, scene_shape: int, where: str) -> None:
         outer = self._outer(instance)
@@ -306,9 +305,8 @@ class _Compiler:
         arrays["packets"] = np.concatenate(self.packets)
         arrays["instances"] = np.array(self.instances, INSTANCE)
         arrays["shapes"] = np.array(self.shapes, SHAPE)
-        keyframes = np.concatenate([Motion.no_keyframes(), *self.keyframes])
         planes, triangles = len(arrays["planes"]), len(arrays["triangles"])
-        return CompiledGeometry(arrays, keyframes, root, planes, triangles, tuple(self.records))
+        return CompiledGeometry(arrays, self.keyframes.array, root, planes, triangles, tuple(self.records))
 
 
 def compile_geometry(

@@ -79,10 +79,6 @@ class Motion:
             return keys
         return _still_keyframe(self.start)
 
-    @staticmethod
-    def no_keyframes() -> NDArray[Any]:
-        return np.zeros(0, KEYFRAME)
-
 
 def static_motion(matrix: Matrix) -> Motion:
     """Standing still under a matrix."""

@@ -31,10 +31,10 @@ class Vertices:
     """Vertex and primitive arrays as they grow."""
 
     def __init__(self) -> None:
-        self.positions = _Growing(np.float32, 3)
-        self.normals = _Growing(np.float32, 3)
-        self.uvs = _Growing(np.float32, 2)
-        self.triangles = _Growing(TRIANGLE)
+        self.positions = Growing(np.float32, 3)
+        self.normals = Growing(np.float32, 3)
+        self.uvs = Growing(np.float32, 2)
+        self.triangles = Growing(TRIANGLE)
         self.times: list[float] = []
         self.spheres: list[NDArray[Any]] = []
         self.discs: list[NDArray[Any]] = []
@@ -54,26 +54,27 @@ class Vertices:
         }
 
 
-class _Growing:
-    """An array that is appended to; joined when it is read."""
+class Growing:
+    """An array that is appended to, with room that doubles."""
 
     def __init__(self, dtype: Any, width: int = 0) -> None:
-        shape = (0, width) if width else (0,)
-        self._parts: list[NDArray[Any]] = [np.zeros(shape, dtype)]
+        self._room: NDArray[Any] = np.empty((0, width) if width else (0,), dtype)
         self.count = 0
 
     def append(self, part: NDArray[Any]) -> int:
         """Index of the part's first entry."""
-        first = self.count
-        self._parts.append(part)
-        self.count += len(part)
+        first, end = self.count, self.count + len(part)
+        if end > len(self._room):
+            larger = np.empty((max(end, 2 * len(self._room)), *self._room.shape[1:]), self._room.dtype)
+            larger[:first] = self._room[:first]
+            self._room = larger
+        self._room[first:end] = part
+        self.count = end
         return first
 
     @property
     def array(self) -> NDArray[Any]:
-        if len(self._parts) > 1:
-            self._parts = [np.concatenate(self._parts)]
-        return self._parts[0]
+        return self._room[: self.count]
 
 
 class TreeItems:
@@ -300,7 +301,7 @@ def add_sphere(
     if _mirrors(matrix):
         record["flags"] = CONSTANTS["SHAPE_FLIP"]
         turn = turn @ np.diag([-1.0, 1.0, 1.0])
-    quaternion = Rotation.from_matrix(turn).as_quat()
+    quaternion = np.zeros(4) if np.array_equal(turn, np.eye(3)) else Rotation.from_matrix(turn).as_quat()
     out = np.zeros((), SPHERE)
     out["center"] = linear @ np.asarray(sphere.center) + matrix[:3, 3]
     out["radius"] = scale * sphere.radius

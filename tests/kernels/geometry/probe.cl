@@ -28,6 +28,17 @@ static inline void answer_surface(const SceneData *scene, const Ray ray, const H
   store3(a->origin, spawn_ray(&s, s.ng * side, ray.time).o);
 }
 
+static inline void answer_nothing(__global Answer *a) {
+  const float3 zero = (float3)(0.0f);
+  store3(a->p, zero);
+  store3(a->p_error, zero);
+  store3(a->ng, zero);
+  store3(a->ns, zero);
+  store3(a->tangent, zero);
+  a->uv[0] = a->uv[1] = 0.0f;
+  store3(a->origin, zero);
+}
+
 // Rays: origin, direction, tmax, time. `side`: which side of ng the spawned origin is on.
 __kernel void probe(const __global Node8 *nodes, const __global Packet8 *packets, const __global ShapeData *shapes,
                     const __global TriangleData *triangles, const __global float *positions,
@@ -70,6 +81,10 @@ __kernel void probe(const __global Node8 *nodes, const __global Packet8 *packets
     answers[i].instance = hit.instance;
     answers[i].shape = NONE;
     answers[i].occluded = occluded(&scene, ray) ? 1u : 0u;
-    if (found) answer_surface(&scene, ray, hit, side, answers + i);
+    if (found) {
+      answer_surface(&scene, ray, hit, side, answers + i);
+    } else {
+      answer_nothing(answers + i);
+    }
   }
 }

@@ -26,12 +26,7 @@ def _random_rays(rng: np.random.Generator, kit: Any, n: int = RAYS) -> Any:
 
 
 def _same(a: Any, b: Any) -> bool:
-    met = a["kind"] != 0xFFFFFFFF
-    return bool(
-        (a["kind"] == b["kind"]).all()
-        and (a["occluded"] == b["occluded"]).all()
-        and a[met].tobytes() == b[met].tobytes()
-    )
+    return bool(a.tobytes() == b.tobytes())
 
 
 def test_degenerate_triangles_change_no_other_hit_and_give_no_nan(probe: Any, kit: Any) -> None:
@@ -213,10 +208,12 @@ def test_nan_and_infinite_rays_miss_and_end_soon(probe: Any, kit: Any) -> None:
     bad[1::100, 6] = np.nan
     seconds = []
     for rays in (good, bad):
-        probe.trace(geometry, rays)
-        start = time.perf_counter()
-        answers = probe.trace(geometry, rays)
-        seconds.append(time.perf_counter() - start)
+        runs = []
+        for _ in range(5):
+            start = time.perf_counter()
+            answers = probe.trace(geometry, rays)
+            runs.append(time.perf_counter() - start)
+        seconds.append(min(runs))
     assert (answers["kind"] == kit.NONE).all()
     assert not answers["occluded"].any()
     assert seconds[1] <= 2.5 * seconds[0]
@@ -290,3 +287,32 @@ def test_half_a_turn_over_the_shutter_keeps_the_object_whole(probe: Any, kit: An
     assert (answers["kind"] == kit.TRIANGLE).all()
     assert np.abs(answers["t"] - 3).max() < 1e-6
     assert np.abs(answers["ng"] - normal).max() < 1e-6
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_an_instance_is_met_where_its_flattened_copy_is(probe: Any, kit: Any, scale: float) -> None:
+    """Scaled, sheared, mirrored: the same t and normals as the mesh placed directly (hard case 15)."""
+    rng = np.random.default_rng(10)
+    vertices, faces = _soup(rng, 200)
+    shear = [[-1, 0.5, 0, 1], [0, 1, 0.2, -2], [0, 0, 2, 3]]
+    matrix = [[scale * x for x in row] for row in shear] + [[0, 0, 0, 1]]
+    meshes = kit.Meshes()
+    mesh = {**meshes.add(vertices, faces), "smooth": True}
+    transform = [{"matrix": matrix}]
+    placed = kit.compiled(
+        [{"type": "instance", "prototype": "p", "transform": transform}], meshes, prototypes={"p": [mesh]}
+    )
+    direct = kit.compiled([{**mesh, "transform": transform}], meshes)
+    center = scale * np.array([1.0, -2.0, 3.0])
+    origins = center + kit.directions(rng, RAYS) * 6 * scale
+    rays = kit.rays(origins, center + rng.uniform(-1, 1, (RAYS, 3)) * scale - origins)
+    a, b = probe.trace(placed, rays), probe.trace(direct, rays)
+    same = (a["primitive"] == b["primitive"]) & (a["kind"] == b["kind"])
+    assert np.mean(same) > 0.999  # the rest pass so near to an edge that rounding decides
+    met = same & (a["kind"] == kit.TRIANGLE)
+    assert np.count_nonzero(met) > RAYS // 20
+    cosine = np.abs(np.einsum("ij,ij->i", kit.unit(rays[:, 3:6]), b["ng"]))[met]
+    # directions are some 6 scale long: t is near 1
+    assert (np.abs(a["t"][met] - b["t"][met]) * cosine < 1e-5).all()
+    assert np.abs(a["ng"] - b["ng"])[met].max() < 1e-4
+    assert np.quantile(np.abs(a["ns"] - b["ns"])[met], 0.99) < 1e-4
