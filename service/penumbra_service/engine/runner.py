@@ -1,7 +1,7 @@
 """One job from its plan to its picture: plan -> engine -> canvas -> stop or go on.
 
 Threads: `run` blocks in the thread that calls it, which alone touches the canvas. The engine's thread calls
-`next_lease` and `deliver`, which share the planner under a lock and put news into a queue. `halt` may be
+`next_lease` and `deliver`, which meet it at the desk and in a queue. `halt` may be
 called from anywhere. Callbacks come on the thread of `run`.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import math
 import queue
-import threading
 import time
 from collections.abc import Callable
 from typing import Final
@@ -22,6 +21,7 @@ from penumbra_scene.job import JobState, Progress, StopReason
 from penumbra_service.engine import snapshot
 from penumbra_service.engine.canvas import Canvas
 from penumbra_service.engine.clock import TraceClock
+from penumbra_service.engine.desk import LeaseDesk
 from penumbra_service.engine.progress import Now, forecast, progress_of
 from penumbra_service.engine.protocol import (
     DeviceDescription,
@@ -46,7 +46,7 @@ from penumbra_service.film.stop import StopRule
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.batches import Batches
 from penumbra_service.jobs.life import DeviceCrashed, Life, SceneReady, StopReached, WentWrong, step
-from penumbra_service.jobs.planning import LeasePlanner, WorkItem
+from penumbra_service.jobs.planning import WorkItem
 from penumbra_service.jobs.record import DeviceUse, Effect, Foretold, RunRecord
 
 __all__ = ["Failure", "Halt", "JobRunner", "RenderTask", "RunResult"]
@@ -61,10 +61,6 @@ SNAPSHOT_SHARE: Final = 20.0
 """A snapshot that took s seconds is followed by no other for 20 s of them: at most 5 % of the time goes
 there."""
 TICK_SECONDS: Final = 0.25
-MIN_DEADLINE: Final = 60.0
-UNKNOWN_DEADLINE: Final = 600.0
-"""For a device's first lease on a job, of which only the samples are known."""
-DEADLINE_FACTOR: Final = 20.0
 TILE_SIZE: Final = 64
 LARGE_TILE_SIZE: Final = 128
 GPU_TILE_SIZE: Final = 256
@@ -111,13 +107,7 @@ class JobRunner:
         self._halt: Halt | None = None
         self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
-        self._lock = threading.Lock()
-        # Below: shared with the engine's thread, under the lock.
-        self._planner = LeasePlanner(self._layout.replicates)
-        self._closed = False
-        self._hungry = False
-        self._excluded: set[str] = set()
-        self._numbers: dict[str, int] = {}
+        self._desk = LeaseDesk(task.job, self._spec, hungry=lambda: self._inbox.put(None))
 
     @property
     def job(self) -> str:
@@ -135,20 +125,7 @@ class JobRunner:
 
     def next_lease(self, device: DeviceDescription) -> Lease | None:
         """Work for a device (engine's thread)."""
-        with self._lock:
-            if self._closed or device.id in self._excluded:
-                return None
-            planned = self._planner.take(device.id)
-            if planned is None:
-                if not self._hungry:
-                    self._hungry = True
-                    self._inbox.put(None)
-                return None
-            expected = self._planner.expected_seconds(device.id, planned)
-            deadline = UNKNOWN_DEADLINE if expected is None else max(MIN_DEADLINE, DEADLINE_FACTOR * expected)
-            lease_id = f"{self.job}/{planned.number}"
-            self._numbers[lease_id] = planned.number
-            return Lease(lease_id, self.job, self._spec, planned.items, deadline)
+        return self._desk.next_lease(device)
 
     def deliver(self, device: DeviceDescription, event: ToJob) -> None:
         """News for the run (engine's thread)."""
@@ -167,7 +144,7 @@ class JobRunner:
             log.exception("job %s: its folder cannot be used", self.job)
             return self._fail(Failure("storage", f"the job's files cannot be read or written: {error}"))
         finally:
-            self._close()
+            self._desk.close()
             self._engine.detach(self)
 
     def _make_spec(self) -> RenderSpec:
@@ -203,7 +180,7 @@ class JobRunner:
             memory_limit=self._task.memory_limit,
         )
         self._canvas = Canvas(film, batches, kept.record)
-        self._planner.add(self._canvas.missing())
+        self._desk.add(self._canvas.missing())
         self._next_snapshot = time.monotonic() + SNAPSHOT_SECONDS
 
     def _fresh(self) -> Snapshot:
@@ -259,10 +236,7 @@ class JobRunner:
                 raise RunFailedError("device", reason)
 
     def _take_result(self, device: DeviceDescription, result: LeaseResult) -> None:
-        with self._lock:
-            number = self._numbers.pop(result.lease, None)
-            planned = None if number is None else self._planner.done(number, device.id, result.seconds)
-        if planned is None:
+        if not self._desk.answered(result.lease, device.id, result.seconds):
             return
         self._clock.start()
         use = self._use_of(device)
@@ -291,24 +265,15 @@ class JobRunner:
         if failure.kind != "build":
             self._crashed(f"device {device.id}: {failure.message}")
             return
-        first = device.id not in self._excluded
-        with self._lock:
-            self._excluded.add(device.id)
-        if not self._helpers():
+        first = self._desk.exclude(device.id)
+        if not self._desk.allowed(self._engine.usable()):
             raise RunFailedError("build", failure.message)
         if first:
             reason = failure.message.splitlines()[0]
             self._record.warnings.append(f"device {device.id} was left out: {reason}")
 
-    def _helpers(self) -> list[DeviceDescription]:
-        """Devices that may work on this job."""
-        return [device for device in self._engine.usable() if device.id not in self._excluded]
-
     def _give_back(self, lease: str) -> None:
-        with self._lock:
-            number = self._numbers.pop(lease, None)
-            if number is not None:
-                self._planner.lost(number)
+        self._desk.give_back(lease)
         self._record.redone_leases += 1
         self._engine.wake()
 
@@ -346,15 +311,10 @@ class JobRunner:
 
     def _open(self) -> None:
         """One more batch where the devices would run dry."""
-        while True:
-            with self._lock:
-                self._hungry = False
-                self._planner.devices = max(len(self._helpers()), 1)
-                idle = self._planner.idle
-                open_samples = self._planner.out_samples / (self._pixels * self._layout.replicates)
-                rate = self._rate()
-            if not idle:
-                return
+        self._desk.allowed(self._engine.usable())
+        while self._desk.idle:
+            open_samples = self._desk.out_samples / (self._pixels * self._layout.replicates)
+            rate = self._rate()
             left = self._canvas.batches.seconds_left(self._clock.seconds, open_samples, rate)
             items = self._canvas.open_next(rate, left)
             if items is None:
@@ -364,13 +324,12 @@ class JobRunner:
 
     def _plan(self, items: list[WorkItem]) -> None:
         if items:
-            with self._lock:
-                self._planner.add(items)
+            self._desk.add(items)
             self._engine.wake()
 
     def _rate(self) -> float | None:
         """Samples a replicate per second, of the whole picture."""
-        rate = self._planner.rate
+        rate = self._desk.rate
         return rate / (self._pixels * self._layout.replicates) if rate else None
 
     def _foretell(self) -> None:
@@ -427,15 +386,9 @@ class JobRunner:
         kept = Snapshot(self._key, self._tile_size, batches.checked, batches.open_ends, self._record)
         snapshot.save(self._store, kept)
 
-    def _close(self) -> None:
-        """Hand out no more."""
-        with self._lock:
-            self._closed = True
-            self._planner.drop()
-
     def _finish(self, reason: str) -> RunResult:
         """The picture is there."""
-        self._close()
+        self._desk.close()
         self._clock.stop()
         self._record.seconds = self._clock.seconds
         end = self._canvas.settle()
@@ -446,7 +399,7 @@ class JobRunner:
         return RunResult(self._life.state, self._record, why, film=self._canvas.film, end=end, layers=layers)
 
     def _halted(self, halt: Halt) -> RunResult:
-        self._close()
+        self._desk.close()
         self._clock.stop()
         self._record.seconds = self._clock.seconds
         if halt is Halt.CANCEL:
@@ -456,7 +409,7 @@ class JobRunner:
         return RunResult(JobState.PAUSED, self._record)
 
     def _fail(self, failure: Failure) -> RunResult:
-        self._close()
+        self._desk.close()
         if not self._life.state.ended:
             self._life, _ = step(self._life, WentWrong(failure.message))
         return RunResult(JobState.FAILED, self._record, StopReason.FAILED, failure)

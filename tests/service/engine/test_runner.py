@@ -129,7 +129,7 @@ def test_a_crashing_job_does_not_harm_one_beside_it(fake_engine, make_task, refe
 
 
 def test_a_hung_device_is_killed_and_three_times_fail_the_job(fake_engine, make_task, monkeypatch):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.engine.runner.UNKNOWN_DEADLINE", 0.3)
+    monkeypatch.setattr("penumbra_service.engine.desk.UNKNOWN_DEADLINE", 0.3)
     result = JobRunner(fake_engine(), make_task(name="hang")).run()
     assert result.state is JobState.FAILED
     assert "did not answer in time" in result.failure.message
