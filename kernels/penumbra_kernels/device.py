@@ -7,6 +7,7 @@ first device is asked for.
 from __future__ import annotations
 
 import os
+import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -57,15 +58,15 @@ def _platform_key(name: str) -> str:
     return name.lower().split()[0].replace("(r)", "").replace("(tm)", "")
 
 
-def _describe(device: cl.Device, platform: cl.Platform, number: int) -> DeviceInfo:
+def _describe(device: cl.Device, driver: cl.Platform, number: int) -> DeviceInfo:
     import pyopencl as cl
 
     kind = KIND_GPU if device.type & cl.device_type.GPU else KIND_CPU
     return DeviceInfo(
-        id=f"{_platform_key(platform.name)}:{number}",
+        id=f"{_platform_key(driver.name)}:{number}",
         name=device.name.strip(),
-        platform=platform.name.strip(),
-        platform_version=platform.version.strip(),
+        platform=driver.name.strip(),
+        platform_version=driver.version.strip(),
         driver=device.driver_version.strip(),
         kind=kind,
         compute_units=device.max_compute_units,
@@ -82,13 +83,13 @@ def _enumerate() -> list[tuple[DeviceInfo, Any]]:
         platforms = cl.get_platforms()
     except cl.LogicError:
         return found
-    for platform in platforms:
+    for driver in platforms:
         try:
-            devices = platform.get_devices()
+            devices = driver.get_devices()
         except cl.Error:
             continue
         for number, device in enumerate(devices):
-            found.append((_describe(device, platform, number), device))
+            found.append((_describe(device, driver, number), device))
     return found
 
 
@@ -117,11 +118,11 @@ class Device:
     @property
     def flags(self) -> dict[str, int]:
         """Macros that the device's kind decides: the seam between CPU and GPU variants."""
-        cpu_builtins = self.info.kind == KIND_CPU and "x86_64" in self.info.name and not _portable()
+        builtins = self.info.kind == KIND_CPU and not _portable()
         return {
             "PENUMBRA_DEVICE_GPU": int(self.info.kind == KIND_GPU),
-            "PENUMBRA_BUILTINS": int(self.info.kind == KIND_CPU and not _portable()),
-            "PENUMBRA_X86": int(cpu_builtins),
+            "PENUMBRA_BUILTINS": int(builtins),
+            "PENUMBRA_X86": int(builtins and platform.machine() in ("x86_64", "AMD64")),
         }
 
     def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> Any:
