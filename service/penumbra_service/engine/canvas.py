@@ -1,12 +1,13 @@
 """What a run has rendered so far: the film, the batches that it is made of, and what is known of their error.
 
-One thread. Nothing here knows devices, leases or clocks.
+One thread. Nothing here knows devices or leases.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Iterable
 
 from penumbra_kernels.nodes import SumNode, Tile
@@ -34,6 +35,7 @@ class Canvas:
         self.changed = False
         """Whether there are nodes that no snapshot holds."""
         self._summaries: dict[Tile, TileSummary] = {}
+        self._looking = self._look_seconds = 0.0
         film.restore(batches.barriers)
         self._samples = self._count_samples()
         self._summarize(film.tiles)
@@ -59,7 +61,7 @@ class Canvas:
 
     def open_next(self, rate: float | None, seconds_left: float | None) -> list[WorkItem] | None:
         """Begin one more batch: what it lacks. None where the rule allows none now."""
-        opened = self.batches.open_next(rate, seconds_left)
+        opened = self.batches.open_next(rate, seconds_left, self._look_seconds)
         if opened is None:
             return None
         self.film.set_barriers(self.batches.barriers)
@@ -103,6 +105,7 @@ class Canvas:
     def proceed(self) -> None:
         """Go on with the next batch after a check."""
         self.film.set_barriers(self.batches.barriers)
+        self._look_seconds, self._looking = self._looking, 0.0
         self._summaries.clear()
         self._summarize(self.film.tiles)
 
@@ -134,10 +137,12 @@ class Canvas:
         end = self.batches.current
         if end is None:
             return
+        started = time.perf_counter()
         for tile in tiles:
             if tile not in self._summaries and self.film.complete(tile, end):
                 pixels, self._summaries[tile] = self.film.summary(tile, end)
                 self.preview.put(pixels)
+        self._looking += time.perf_counter() - started
 
     def _count_samples(self) -> int:
         return sum(

@@ -17,7 +17,9 @@ from penumbra_service.film.error import ImageError
 from penumbra_service.film.stop import Reason, StopRule, last_end_within
 
 MIN_BATCH_SECONDS: Final = 0.5
-"""Where check points are free, batches take at least this: looking at a picture costs time too."""
+"""Where check points are free, batches take at least this."""
+LOOK_FACTOR: Final = 10.0
+"""And so many times what looking at the last batch took."""
 
 OVERTIME: Final = 0.05
 """A batch that is done within this share of the time asked for is waited for."""
@@ -60,14 +62,16 @@ class Batches:
         """Where the render may yet end: tiles must not merge across these."""
         return tuple(end for end in (self.checked, self.current) if end)
 
-    def open_next(self, rate: float | None, seconds_left: float | None) -> tuple[int, int] | None:
-        """Open one more batch if the rule allows it; its (first, end). `rate`: samples a replicate per second
-        of the whole picture, None while unknown; `seconds_left` of the time rule once all open work is done,
-        None without one."""
+    def open_next(
+        self, rate: float | None, seconds_left: float | None, look_seconds: float = 0.0
+    ) -> tuple[int, int] | None:
+        """Open one more batch if the rule allows it; its (first, end). `rate`: samples a replicate per second of the
+        whole picture, None while unknown; `seconds_left` of the time rule once all open work is done, None without
+        one; `look_seconds`: what it takes to look at a batch."""
         if self.ahead is not None:
             return None
         start = self.checked if self.current is None else self.current
-        end = self._next_end(start, rate, seconds_left)
+        end = self._next_end(start, rate, seconds_left, look_seconds)
         if end is None or end <= start:
             return None
         if self.current is None:
@@ -76,13 +80,16 @@ class Batches:
             self.ahead = end
         return start, end
 
-    def _next_end(self, start: int, rate: float | None, seconds_left: float | None) -> int | None:
+    def _next_end(
+        self, start: int, rate: float | None, seconds_left: float | None, look_seconds: float
+    ) -> int | None:
         end = self.rule.next_end(start)
         if end is None:
             return None
         if self.rule.relative_error is None and rate is not None:
             # Without an error rule check points decide nothing, so that speed may choose them.
-            while (end - start) / rate < MIN_BATCH_SECONDS:
+            least = max(MIN_BATCH_SECONDS, LOOK_FACTOR * look_seconds)
+            while (end - start) / rate < least:
                 following = self.rule.next_end(end)
                 if following is None:
                     break

@@ -36,6 +36,8 @@ def test_what_is_past_the_stop_does_not_count():
 def test_speed_chooses_check_points_only_where_they_decide_nothing():
     free = Batches(StopRule(8, samples=1000))
     assert free.open_next(100.0, None) == (0, 64)
+    costly = Batches(StopRule(8, samples=1000))
+    assert costly.open_next(100.0, None, look_seconds=0.2) == (0, 256)
     bound = Batches(StopRule(8, samples=1000, relative_error=0.01))
     assert bound.open_next(100.0, None) == (0, 1)
 
