@@ -18,8 +18,8 @@
 // A flat light of half diameter s at distance d looks small where s^2 < d^2 / 128: over it cos / r^2 = h / r^3 then varies
 // by less than ((1 + x) / (1 - x))^3 = 1.7, x = sqrt(1 / 128), from end to end, even seen edge-on.
 #define FLAT_FAR 0.0078125f
-// Rounding of the angles in it, about 2^-22, is then at most 2^-15 of the solid angle: a shift of a sample by 3e-5 of it.
-#define RECTANGLE_SOLID_ANGLE 0.0078125f
+// Rounding of the angles in it, some 2^-21, is then at most 2^-15 of the solid angle: a shift of a sample by 3e-5 of it.
+#define RECTANGLE_SOLID_ANGLE 0.03125f
 // |cos| between edges that counts as a right angle: the rounding of two rotated edges.
 #define RIGHT_ANGLE_COSINE 0x1p-20f
 
@@ -36,7 +36,7 @@ typedef struct {
   float area;
   uint strategy;        // QUAD_BY_*
   float solid_angle;    // rectangle, fan
-  float first_half_angle;  // fan: half the solid angle of the triangle 0 1 2
+  float distance0, distance3;  // rectangle, fan: of corners 0 and 3
 } QuadView;
 
 static inline Quad quad_at(const SceneData *scene, const __global Light *light, const float time) {
@@ -77,6 +77,21 @@ static inline bool quad_is_rectangle(const Quad *q) {
   return sqr(dot3(q->u, q->v)) <= sqr(RIGHT_ANGLE_COSINE) * dot3(q->u, q->u) * dot3(q->v, q->v);
 }
 
+// Half the solid angle of a triangle is the argument of 1 + A.B + B.C + C.A + i D (spherical_triangle.cl). Those of 0 1 2 and
+// 0 2 3 are multiplied, so that one arc tangent gives their sum, which is below pi.
+static inline void quad_solid_angle(const Quad *q, QuadView *view) {
+  const float3 r1 = quad_corner(q, view, 1u), r2 = quad_corner(q, view, 2u), r3 = quad_corner(q, view, 3u);
+  view->distance0 = length3(view->o);
+  view->distance3 = length3(r3);
+  const float i0 = 1.0f / view->distance0, i1 = 1.0f / length3(r1), i2 = 1.0f / length3(r2), i3 = 1.0f / view->distance3;
+  const float cos01 = dot3(view->o * i0, r1 * i1), cos12 = dot3(r1 * i1, r2 * i2), cos23 = dot3(r2 * i2, r3 * i3);
+  const float cos03 = dot3(view->o * i0, r3 * i3), cos02 = dot3(view->o * i0, r2 * i2);
+  const float volume = view->height * i0 * view->area * i2;
+  const float d1 = volume * i1, d2 = volume * i3;
+  const float g1 = 1.0f + cos01 + cos12 + cos02, g2 = 1.0f + cos02 + cos23 + cos03;
+  view->solid_angle = 2.0f * atan2_f(g1 * d2 + g2 * d1, g1 * g2 - d1 * d2);
+}
+
 // False where p sees no emitting side: behind, in the plane (to rounding), or the quad has no area.
 static inline bool quad_view(const Quad *q, const float3 p, const bool two_sided, QuadView *view) {
   const float3 cross = cross3(q->u, q->v);
@@ -92,15 +107,14 @@ static inline bool quad_view(const Quad *q, const float3 p, const bool two_sided
 
   view->strategy = QUAD_BY_AREA;
   view->solid_angle = 0.0f;
-  view->first_half_angle = 0.0f;
+  view->distance0 = view->distance3 = 0.0f;
 #if !PENUMBRA_LIGHT_AREA_SAMPLING
   const float3 half_u = 0.5f * q->u;
   const float3 half_v = 0.5f * q->v;
   const float3 center = view->o + half_u + half_v;
   const float size = dot3(half_u, half_u) + dot3(half_v, half_v) + 2.0f * FABS(dot3(half_u, half_v));
   if (size >= FLAT_FAR * dot3(center, center)) {
-    view->first_half_angle = quad_triangle(q, view, 0u).half_angle;
-    view->solid_angle = 2.0f * (view->first_half_angle + quad_triangle(q, view, 1u).half_angle);
+    quad_solid_angle(q, view);
     view->strategy = view->solid_angle >= RECTANGLE_SOLID_ANGLE && quad_is_rectangle(q) ? QUAD_BY_RECTANGLE : QUAD_BY_FAN;
   }
 #endif
@@ -111,9 +125,18 @@ static inline float quad_pdf(const QuadView *view, const float distance) {
   return view->strategy == QUAD_BY_AREA ? flat_area_pdf(distance, view->height, view->area) : 1.0f / view->solid_angle;
 }
 
-// Solid angle of the rectangle between the foot of the eye and a corner (x, y) of its plane, with signs.
-static inline float corner_angle(const float x, const float y, const float height) {
-  return atan2_f(x * y, height * SQRT(x * x + y * y + height * height));
+// The plane at z = -height in the frame of the edges. A point (x, y) of it is seen at the elevation whose sine and cosine are
+// y and height over `reach`, the distance to (0, y).
+typedef struct {
+  float reach, sine, cosine;
+} Elevation;
+
+static inline Elevation elevation(const float y, const float height) {
+  Elevation e;
+  e.reach = SQRT(y * y + height * height);
+  e.sine = y / e.reach;
+  e.cosine = height / e.reach;
+  return e;
 }
 
 static inline float sine(const float angle) {  // for |angle| <= 2 pi
@@ -122,13 +145,24 @@ static inline float sine(const float angle) {  // for |angle| <= 2 pi
   return copy_sign(1.0f, angle) * s;
 }
 
-// x at which a strip, of elevations beta0 to beta1 at x = 0 and reaching from x = 0, has solid angle `swept` (with x's sign).
-// Urena et al. 2013, figure 2: cu = sign(fu) / sqrt(fu^2 + b0^2), xu = height cu / sqrt(1 - cu^2), fu = (cos(swept) b0 + b1) /
-// sin(swept), b0 = -sin(beta0), b1 = sin(beta1). Left as it is, 1 - cu^2 cancels for heights below 1 % of x; as a product,
-// (height / x)^2 = 4 sin((d + a) / 2) sin((d - a) / 2) cos((e + a) / 2) cos((e - a) / 2) / sin(a)^2 with a = |swept|,
-// d = beta1 - beta0, e = beta1 + beta0.
-static inline float strip_end(const float swept, const float beta0, const float beta1, const float height) {
+// x at which a strip, of elevations e0 to e1 at x = 0 and reaching from x = 0, has the solid angle of the given sine and
+// cosine (with x's sign). Urena et al. 2013, figure 2: cu = sign(fu) / sqrt(fu^2 + b0^2), xu = height cu / sqrt(1 - cu^2), with
+// fu = (cosine b0 + b1) / sine, b0 = -e0.sine, b1 = e1.sine. With b0^2 = 1 - e0.cosine^2 that is
+// (height / xu)^2 = (fu - e0.cosine) (fu + e0.cosine).
+static inline float strip_end(const float sine, const float cosine, const Elevation e0, const Elevation e1,
+                              const float height) {
+  const float f = e1.sine - cosine * e0.sine;
+  const float g = sine * e0.cosine;
+  return height * sine / SQRT(MAX((f - g) * (f + g), 0x1p-100f));
+}
+
+// The same where the plane is so near that the differences cancel: as a product, (height / x)^2 =
+// 4 sin((d + a) / 2) sin((d - a) / 2) cos((e + a) / 2) cos((e - a) / 2) / sin(a)^2 with a the solid angle, d the difference and
+// e the sum of the elevations.
+static inline float strip_end_grazing(const float swept, const Elevation e0, const Elevation e1, const float height) {
   const float a = FABS(swept);
+  const float beta0 = atan2_f(e0.sine, e0.cosine);
+  const float beta1 = atan2_f(e1.sine, e1.cosine);
   const float d = 0.5f * (beta1 - beta0);
   const float e = 0.5f * (beta1 + beta0);
   const float product = 4.0f * sine(d + 0.5f * a) * sine(d - 0.5f * a) * sine(HALF_PI_F - (e + 0.5f * a)) *
@@ -136,8 +170,30 @@ static inline float strip_end(const float swept, const float beta0, const float 
   return copy_sign(height * sine(a) / SQRT(MAX(product, 0.0f)), swept);
 }
 
-// Urena et al. 2013, section 4, in the frame of the edges with the plane at z = -height. Solid angles are sums of
-// corner_angle instead of internal angles, whose acos lose digits where p is near the plane. Returns (a, b).
+// The plane counts as near where the rectangle reaches beyond this many heights from the eye's foot along x. Before, the
+// differences cancel to 1 / (1 + GRAZING^2) at worst.
+#define GRAZING 4.0f
+
+// Where along x the strip from x0 on has the share u of the rectangle's solid angle. Between the eye's foot and (x, y) a
+// rectangle has the solid angle A with sin A = sine(x) sine(y): sums of A stand for Urena's internal angles, whose acos lose
+// digits where p is near the plane.
+static inline float rectangle_x(const QuadView *view, const float x0, const float x1, const float y0, const float y1,
+                                const float u) {
+  const float z = view->height;
+  const Elevation e0 = elevation(y0, z), e1 = elevation(y1, z), ex = elevation(x0, z);
+  const float sine0 = ex.sine * e0.sine, cosine0 = ex.cosine * (view->distance0 / e0.reach);
+  const float sine1 = ex.sine * e1.sine, cosine1 = ex.cosine * (view->distance3 / e1.reach);
+  const float sine_before = sine1 * cosine0 - cosine1 * sine0;
+  const float cosine_before = cosine1 * cosine0 + sine1 * sine0;
+  float s, c;
+  if (MAX(FABS(x0), FABS(x1)) <= GRAZING * z) {
+    sincos_2pi(u * view->solid_angle * INV_2PI_F, &s, &c);
+    return strip_end(s * cosine_before + c * sine_before, c * cosine_before - s * sine_before, e0, e1, z);
+  }
+  return strip_end_grazing(u * view->solid_angle + (atan2_f(sine1, cosine1) - atan2_f(sine0, cosine0)), e0, e1, z);
+}
+
+// Urena et al. 2013, section 4. Returns (a, b).
 static inline float2 quad_rectangle_point(const Quad *q, const QuadView *view, const float2 u) {
   const float width = length3(q->u);
   const float depth = length3(q->v);
@@ -145,8 +201,7 @@ static inline float2 quad_rectangle_point(const Quad *q, const QuadView *view, c
   const float x0 = dot3(view->o, q->u) / width;
   const float y0 = dot3(view->o, q->v) / depth;
   const float y1 = y0 + depth;
-  const float swept = u.x * view->solid_angle + (corner_angle(x0, y1, z) - corner_angle(x0, y0, z));
-  const float a = CLAMP01((strip_end(swept, atan2_f(y0, z), atan2_f(y1, z), z) - x0) / width);
+  const float a = CLAMP01((rectangle_x(view, x0, x0 + width, y0, y1, u.x) - x0) / width);
   // Along v the sine of the elevation is uniform between its ends.
   const float x = a * width + x0;
   const float d2 = x * x + z * z;
@@ -160,9 +215,11 @@ static inline float2 quad_rectangle_point(const Quad *q, const QuadView *view, c
 // u.x sweeps the arc from corner 1 over 2 to 3, u.y goes out from corner 0. Returns (a, b).
 static inline float2 quad_fan_point(const Quad *q, const QuadView *view, const float2 u) {
   const float swept = u.x * 0.5f * view->solid_angle;
-  const uint second = swept >= view->first_half_angle ? 1u : 0u;
-  const SphericalTriangle t = quad_triangle(q, view, second);
-  const float e = spherical_triangle_cut(&t, second ? swept - view->first_half_angle : swept);
+  SphericalTriangle t = quad_triangle(q, view, 0u);
+  const float first_half_angle = t.half_angle;
+  const uint second = swept >= first_half_angle ? 1u : 0u;
+  if (second) t = quad_triangle(q, view, 1u);
+  const float e = spherical_triangle_cut(&t, second ? swept - first_half_angle : swept);
   const float3 edge = second ? -q->u : q->v;
   const float f = spherical_triangle_reach(&t, view->o, quad_corner(q, view, 1u + second) + e * edge, u.y);
   return second ? (float2)(f * (1.0f - e), f) : (float2)(f, f * e);
