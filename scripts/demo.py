@@ -40,15 +40,17 @@ def main() -> int:
         "scene", nargs="?", type=Path, default=SCENE, help="scene file (default: %(default)s)"
     )
     parser.add_argument("--seconds", type=float, default=30.0, help="tracing time after which the demo ends")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for everything (default: %(default)s)")
     arguments = parser.parse_args()
-    OUT.mkdir(parents=True, exist_ok=True)
+    out: Path = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
     try:
-        with running_service(OUT / "data", OUT / "service.log") as address, Client(address) as client:
+        with running_service(out / "data", out / "service.log") as address, Client(address) as client:
             print(f"The service is up on {address}", flush=True)
-            job, paths = render(client, arguments.scene, arguments.seconds)
-            tell(job, paths)
+            job, paths = render(client, arguments.scene, arguments.seconds, out)
+            tell(job, paths, out / "data")
     except (DemoError, ClientError) as error:
-        print(f"make demo: {error}\nThe service's log is {_short(OUT / 'service.log')}", file=sys.stderr)
+        print(f"make demo: {error}\nThe service's log is {_short(out / 'service.log')}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("make demo: interrupted; the service is stopped", file=sys.stderr)
@@ -95,13 +97,13 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def render(client: Client, scene: Path, seconds: float) -> tuple[JobStatus, dict[str, Path]]:
+def render(client: Client, scene: Path, seconds: float, out: Path) -> tuple[JobStatus, dict[str, Path]]:
     """Submit, watch, fetch: three calls of the client."""
     job = client.submit(scene, stop={"samples": _samples_of(scene), "seconds": seconds})
     print(f"Rendering {_short(scene)} as job {job.id}", flush=True)
     with ProgressView() as view:
         job = client.wait(job.id, view)
-    return job, client.fetch(job.id, OUT)
+    return job, client.fetch(job.id, out)
 
 
 def _samples_of(scene: Path) -> int | None:
@@ -112,7 +114,7 @@ def _samples_of(scene: Path) -> int | None:
     return samples
 
 
-def tell(job: JobStatus, paths: dict[str, Path]) -> None:
+def tell(job: JobStatus, paths: dict[str, Path], data: Path) -> None:
     """What came out, and what to do next."""
     spent = f"{job.samples_done:.0f} samples a pixel in {duration(job.seconds)} of tracing"
     error = error_text(job.relative_error, job.relative_error_interval)
@@ -120,8 +122,8 @@ def tell(job: JobStatus, paths: dict[str, Path]) -> None:
     for name, path in paths.items():
         print(f"  {name:10} {_short(path)}")
     print(
-        f"\nLook at it in a browser: file://{paths['thumbnail']}\n"
-        f"or bring the service up again with `make serve DATA={_short(OUT / 'data')}` "
+        f"\nLook at it in a browser: file://{paths['thumbnail'].resolve()}\n"
+        f"or bring the service up again with `make serve DATA={_short(data)}` "
         f"and open http://127.0.0.1:8484{job.links.page}"
     )
 
