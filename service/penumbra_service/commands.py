@@ -157,6 +157,39 @@ _KEY_ACTIONS: Final = {"create": _create_key, "list": _list_keys, "revoke": _rev
 KEYS: Final = Command("make, list and revoke API keys", _KEYS, _configure_keys, _keys)
 
 
+_EXPLAIN: Final = """\
+Say for each effect whether a scene calls for it, and why: a program is compiled with just the effects that are in.
+
+  penumbra explain scene.json
+  penumbra explain scene.json --json
+"""
+
+
+def _configure_explain(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="scene file (JSON)")
+    parser.add_argument(
+        "--time", type=float, default=0.0, metavar="S", help="of the frame, seconds (default 0)"
+    )
+    parser.add_argument("--json", action="store_true", help="for programs")
+
+
+def _explain(arguments: argparse.Namespace) -> int:
+    from penumbra_scene.errors import ProblemError
+
+    from penumbra_service.explain import explain
+
+    try:
+        print(explain(arguments.scene, arguments.time, as_json=arguments.json))
+    except OSError as error:
+        raise CommandError(f"cannot read {arguments.scene}: {error.strerror}") from error
+    except ProblemError as error:
+        raise CommandError(str(error), Exit.INVALID) from error
+    return Exit.OK
+
+
+EXPLAIN: Final = Command("say which effects a scene calls for", _EXPLAIN, _configure_explain, _explain)
+
+
 class LocalEngine:
     """Renders on this machine's devices, without a service."""
 

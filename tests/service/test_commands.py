@@ -198,3 +198,21 @@ def test_an_unknown_device_is_device_trouble(
     result = _penumbra("render", str(scene), *words, environment=environment)
     assert result.returncode == Exit.DEVICE
     assert "nonesuch:7" in result.stderr
+
+
+def test_explain_says_why_an_effect_is_in(tmp_path: Path, environment: dict[str, str]) -> None:
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps(SCENE))
+    told = _penumbra("explain", str(scene), "--json", environment=environment)
+    verdicts = {v["effect"]: v for v in json.loads(told.stdout)["effects"]}
+    assert verdicts["round"] == {"effect": "round", "in": True, "reason": "shapes/0 is a sphere"}
+    assert not verdicts["transmission"]["in"]
+
+
+def test_explain_refuses_what_is_no_scene(tmp_path: Path, environment: dict[str, str]) -> None:
+    scene = tmp_path / "scene.json"
+    scene.write_text("{}")
+    told = _penumbra("explain", str(scene), environment=environment)
+    assert told.returncode == Exit.INVALID
+    assert "version" in told.stderr
+    assert _penumbra("explain", str(tmp_path / "none.json"), environment=environment).returncode == Exit.USAGE

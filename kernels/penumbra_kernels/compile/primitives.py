@@ -129,7 +129,7 @@ class TreeItems:
             none = np.zeros((0, 3), np.float32)
             return Items(none, none, np.zeros(0, np.int32), np.zeros(0, np.uint32))
         for parts in (self._lo, self._hi, self._key, self._word):
-            parts[:] = [np.concatenate(parts)]  # type: ignore[arg-type]
+            parts[:] = [np.concatenate(parts)]
         return Items(self._lo[0], self._hi[0], self._key[0], self._word[0])
 
     def packets(self, tree: Tree, vertices: Vertices) -> NDArray[Any]:
@@ -169,7 +169,8 @@ def _normals(normals: NDArray[np.float64], matrix: Matrix) -> NDArray[np.float32
     size = np.abs(moved).max(axis=1, keepdims=True)
     moved = np.divide(moved, size, out=np.zeros_like(moved), where=size > 0)
     length = np.linalg.norm(moved, axis=1, keepdims=True)
-    return np.divide(moved, length, out=np.zeros_like(moved), where=length > 0).astype(np.float32)
+    unit = np.divide(moved, length, out=np.zeros_like(moved), where=length > 0)
+    return np.asarray(unit, np.float32)
 
 
 def _boxes(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -105,3 +105,28 @@ def test_seeds_differ(device: Device) -> None:
         )
     surface = (sums[0]["rgba"][..., 3] == 4) & (sums[1]["rgba"][..., 3] == 4)  # the sky is the same for all
     assert (sums[0]["rgba"][surface, 0] != sums[1]["rgba"][surface, 0]).mean() > 0.99
+
+
+def test_layers_of_the_plane_wide_sampler_are_means_over_all_its_paths(device: Device) -> None:
+    """A wall that fills the picture: albedo and depth are the same on every path, so their means are exact."""
+    scene = Scene.model_validate(
+        {
+            "version": 1,
+            "camera": {"type": "orthographic", "height": 1},
+            "film": {"width": 8, "height": 8, "layers": ["albedo", "normal", "depth"]},
+            "sampler": {"type": "random", "seed": 3},
+            "materials": {"m": {"type": "diffuse", "base_color": 0.5}},
+            "shapes": [
+                {"type": "quad", "origin": [-5, -5, -2], "u": [10, 0, 0], "v": [0, 10, 0], "material": "m"}
+            ],
+        }
+    )
+    tracer = Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(2, 16))
+    node = tracer.trace(Tile(0, 0, 8, 8), 0, 16)
+    assert node.layers is not None
+    taken = node.sums["taken"]
+    assert taken.sum() == 2 * 16 * 64
+    assert (taken != 16).any()
+    assert node.layers["albedo_depth"][..., 0] == pytest.approx(0.5 * taken, rel=1e-6)
+    assert node.layers["albedo_depth"][..., 3] == pytest.approx(2.0 * taken, rel=1e-5)
+    assert node.layers["normal"][..., 2] == pytest.approx(1.0 * taken, rel=1e-6)
