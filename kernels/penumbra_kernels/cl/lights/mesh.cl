@@ -9,10 +9,6 @@
 #include "lights/placement.cl"
 #include "lights/spherical_triangle.cl"
 
-#ifndef FLAT_FAR
-#define FLAT_FAR 0.0078125f  // see quad.cl
-#endif
-
 // A triangle relative to p.
 typedef struct {
   float3 a, b, c;

@@ -7,6 +7,10 @@
 #include "base/types.h"
 #include "base/transcendental.cl"
 
+// A flat light of half diameter s at distance d looks small where s^2 < d^2 / 128: over it cos / r^2 = h / r^3 then varies
+// by less than ((1 + x) / (1 - x))^3 = 1.7, x = sqrt(1 / 128), from end to end, even seen edge-on.
+#define FLAT_FAR 0.0078125f
+
 // A spherical triangle A B C seen from the eye, prepared for sampling from its apex B across the arc A C.
 typedef struct {
   float a, b, c;     // distances of the corners
