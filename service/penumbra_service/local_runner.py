@@ -81,8 +81,15 @@ class LocalRunner:
     def _reporter(self, task: Task) -> Callable[[JobState, Progress], None]:
         used: set[str] = set()
         curve: list[dict[str, Any]] = []
+        kept: list[float] = []  # samples that the snapshot brought
 
         def report(state: JobState, progress: Progress) -> None:
+            if not kept:
+                kept.append(progress.samples_done)
+            if state is JobState.COMPILING and progress.samples_done > kept[0]:
+                state = (
+                    JobState.RENDERING
+                )  # a device that has the scene loaded from before does not say so again
             used.update(device.id for device in self._engine.devices() if device.job == task.job_id)
             news: dict[str, Any] = progress.model_dump(mode="json", exclude={"thumbnail_revision"})
             if progress.relmse is not None and (not curve or curve[-1]["relmse"] != progress.relmse):

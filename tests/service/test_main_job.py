@@ -152,9 +152,9 @@ LONG: dict[str, Any] = {
         {"type": "sphere", "material": "gray"},
         {"type": "plane", "point": [0, -1, 0], "material": "gray"},
     ],
-    "stop": {"samples": 4096},
+    "stop": {"samples": 2048},
 }
-"""Takes some ten seconds."""
+"""Takes long enough for a snapshot."""
 
 
 def test_a_killed_service_goes_on_and_its_picture_has_the_same_bits(service: Service, tmp_path: Path) -> None:
