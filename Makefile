@@ -25,7 +25,7 @@ demo: setup ## start the service, render an example scene as a client would, sto
 	@$(BIN)/python scripts/demo.py $(ARGS)
 
 test: setup ## run the whole test suite
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 serve: setup ## keep the service up on 127.0.0.1:8484, its data in data/ (DATA=folder)
 	@exec $(BIN)/penumbra serve --data $(DATA) $(ARGS)
