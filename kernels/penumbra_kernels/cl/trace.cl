@@ -78,19 +78,65 @@ static inline float4 take_sample(const SceneData *scene, const __global Params *
   return (float4)(c * weight, path->alpha * weight);
 }
 
-// The plane-wide random sampler takes several paths a sample index: their layers add up, the object is the last one's.
-static inline void add_layers(PathSample *sum, const PathSample *path) {
-  sum->albedo += path->albedo;
-  sum->normal += path->normal;
-  sum->depth += path->depth;
-  sum->object_id = path->object_id;
-}
-
 static inline void gather_layers(Gather *gather, const uint i, const PathSample *path) {
 #if PENUMBRA_LAYERS
   tree_add(gather->albedo_depth, i, (float4)(path->albedo, path->depth));
   tree_add(gather->normal, i, (float4)(path->normal, 0.0f));
   if (i == 0) gather->object_id = path->object_id;
+#endif
+}
+
+// One pixel of one replicate: all samples of the node. counts: points that fell into each sample (random), else null;
+// layers: null where there are none.
+static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global Params *params,
+                                         const __global float *filter_table, const __global float *shutter_table,
+                                         const __global ushort *counts, __global Layers *layers, __global Sum *out,
+                                         const uint item) {
+  const uint pixels = params->tile_width * params->tile_height;
+  const uint replicate = item / pixels;
+  const uint pixel = item - replicate * pixels;
+  const uint x = params->tile_x + pixel % params->tile_width;
+  const uint y = params->tile_y + pixel / params->tile_width;
+  Sampler sampler = sampler_start(params, x, y, params->first_replicate + replicate);
+  Gather gather;
+  gather.taken = gather.lit = gather.rejected = gather.rejected_in = 0u;
+  for (uint i = 0; i < params->sample_count; i++) {
+    PathSample path;
+#if PENUMBRA_SAMPLER == SAMPLER_RANDOM
+    const uint count = counts[((ulong)replicate * params->sample_count + i) * pixels + pixel];
+    float4 value = (float4)(0.0f);
+    path.albedo = path.normal = (float3)(0.0f);
+    path.depth = 0.0f;
+    path.object_id = 0u;
+    for (uint k = 0; k < count; k++) {
+      sampler_next_of(&sampler, params->first_sample + i, k);
+      value += take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
+    }
+#else
+    sampler_next(&sampler, params->first_sample + i);
+    const float4 value = take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
+#endif
+    tree_add(gather.levels, i, value);
+    gather_layers(&gather, i, &path);
+  }
+  const uint top = level_of(params->sample_count);
+  out->rgba[0] = gather.levels[top].x;
+  out->rgba[1] = gather.levels[top].y;
+  out->rgba[2] = gather.levels[top].z;
+  out->rgba[3] = gather.levels[top].w;
+  out->taken = gather.taken;
+  out->lit = gather.lit;
+  out->rejected = gather.rejected;
+  out->rejected_in = gather.rejected_in;
+#if PENUMBRA_LAYERS
+  layers->albedo_depth[0] = gather.albedo_depth[top].x;
+  layers->albedo_depth[1] = gather.albedo_depth[top].y;
+  layers->albedo_depth[2] = gather.albedo_depth[top].z;
+  layers->albedo_depth[3] = gather.albedo_depth[top].w;
+  layers->normal[0] = gather.normal[top].x;
+  layers->normal[1] = gather.normal[top].y;
+  layers->normal[2] = gather.normal[top].z;
+  layers->object_id = gather.object_id;
 #endif
 }
 
@@ -191,56 +237,17 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   scene.root = params->root;
   scene.environment_light = params->environment_light;
 
-  const uint pixels = params->tile_width * params->tile_height;
+  const __global ushort *item_counts = 0;
+#if PENUMBRA_SAMPLER == SAMPLER_RANDOM
+  item_counts = counts;
+#endif
   const uint first = first_item + (uint)get_global_id(0) * params->items_per_group;
   const uint end = MIN(first + params->items_per_group, params->item_count);
   for (uint item = first; item < end; item++) {
-    const uint replicate = item / pixels;
-    const uint pixel = item - replicate * pixels;
-    const uint x = params->tile_x + pixel % params->tile_width;
-    const uint y = params->tile_y + pixel / params->tile_width;
-    Sampler sampler = sampler_start(params, x, y, params->first_replicate + replicate);
-    Gather gather;
-    gather.taken = gather.lit = gather.rejected = gather.rejected_in = 0u;
-    for (uint i = 0; i < params->sample_count; i++) {
-      PathSample path;
-#if PENUMBRA_SAMPLER == SAMPLER_RANDOM
-      const uint count = counts[((ulong)replicate * params->sample_count + i) * pixels + pixel];
-      float4 value = (float4)(0.0f);
-      path = no_path();
-      for (uint k = 0; k < count; k++) {
-        PathSample one;
-        sampler_next_of(&sampler, params->first_sample + i, k);
-        value += take_sample(&scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &one);
-        add_layers(&path, &one);
-      }
-#else
-      sampler_next(&sampler, params->first_sample + i);
-      const float4 value = take_sample(&scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
-#endif
-      tree_add(gather.levels, i, value);
-      gather_layers(&gather, i, &path);
-    }
-    const uint top = level_of(params->sample_count);
-    __global Sum *out = sums + item;
-    out->rgba[0] = gather.levels[top].x;
-    out->rgba[1] = gather.levels[top].y;
-    out->rgba[2] = gather.levels[top].z;
-    out->rgba[3] = gather.levels[top].w;
-    out->taken = gather.taken;
-    out->lit = gather.lit;
-    out->rejected = gather.rejected;
-    out->rejected_in = gather.rejected_in;
+    __global Layers *item_layers = 0;
 #if PENUMBRA_LAYERS
-    __global Layers *layer = layers + item;
-    layer->albedo_depth[0] = gather.albedo_depth[top].x;
-    layer->albedo_depth[1] = gather.albedo_depth[top].y;
-    layer->albedo_depth[2] = gather.albedo_depth[top].z;
-    layer->albedo_depth[3] = gather.albedo_depth[top].w;
-    layer->normal[0] = gather.normal[top].x;
-    layer->normal[1] = gather.normal[top].y;
-    layer->normal[2] = gather.normal[top].z;
-    layer->object_id = gather.object_id;
+    item_layers = layers + item;
 #endif
+    trace_item(&scene, params, filter_table, shutter_table, item_counts, item_layers, sums + item, item);
   }
 }

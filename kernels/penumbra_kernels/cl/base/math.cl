@@ -22,6 +22,14 @@
 #define CLZ64(x) ((uint)clz((ulong)(x)))
 #endif
 
+// Keeps a large function out of its callers, where a compiler would multiply it (PoCL makes three copies of every kernel).
+// GPUs have no use for calls.
+#if PENUMBRA_BUILTINS
+#define PENUMBRA_NOINLINE __attribute__((noinline))
+#else
+#define PENUMBRA_NOINLINE inline
+#endif
+
 #define MIN(a, b) ((a) < (b) ? (a) : (b))
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 #define CLAMP01(x) MIN(MAX(x, 0.0f), 1.0f)
