@@ -51,19 +51,23 @@ static inline float3 direct_light(const SceneData *scene, const __global Params 
     for (uint light = 0; light < total; light++) {
       for (uint j = 0; j < picks; j++) {
         const float2 u = sample_2d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT, light), j, picks);
-        const float ut = sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks);
+        const float ut = light_has_triangles(scene, light)
+                             ? sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks)
+                             : 0.0f;
         sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks, use_mis, effects);
       }
     }
     return sum * (1.0f / (float)picks);
   }
   for (uint j = 0; j < picks; j++) {
-    const float us = sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), j, picks);
-    const float2 u = sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), j, picks);
-    const float ut = sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), j, picks);
+    const float us = total > 1u ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), j, picks) : 0.0f;
     float pmf;
     const uint light = light_choose(scene, surface->p, us, &pmf);
     if (!(pmf > 0.0f)) continue;
+    const float2 u = sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), j, picks);
+    const float ut = light_has_triangles(scene, light)
+                         ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), j, picks)
+                         : 0.0f;
     sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks * pmf, use_mis, effects) *
            (1.0f / pmf);
   }

@@ -23,6 +23,15 @@ static inline bool area_light_sample(const SceneData *scene, const __global Ligh
   return light->type == LIGHT_MESH && mesh_light_sample(scene, light, p, time, u_triangle, u, out);
 }
 
+// Whether light_sample asks for u_triangle.
+static inline bool light_has_triangles(const SceneData *scene, const uint light) {
+#if PENUMBRA_AREA_LIGHTS
+  return scene->lights[light].type == LIGHT_MESH;
+#else
+  return false;
+#endif
+}
+
 // Samples a direction to a light. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing arrives:
 // behind the light, edge-on, at the light itself. *out is whole only where it returns true.
 static inline bool light_sample(const SceneData *scene, const uint light, const float3 p, const float time,

@@ -124,6 +124,15 @@ static inline bool bsdf_has_smooth(const Bsdf *b) {
   return true;
 }
 
+// Whether bsdf_sample asks for u_lobe.
+static inline bool bsdf_has_lobes(const Bsdf *b) {
+#if PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION
+  return b->type != MATERIAL_DIFFUSE && b->type != MATERIAL_MIRROR;
+#else
+  return false;
+#endif
+}
+
 // All smooth lobes for a local wi, on whichever side it is.
 static inline float3 lobes_eval(const Bsdf *b, const float3 wi, float *pdf) {
   *pdf = 0.0f;

@@ -63,5 +63,6 @@ static inline float2 blue_noise_2d(const Sampler *s, const ulong dimension, cons
   const ulong index = blue_index(s, element, strata, &key);
   const ulong seeds = mix64(key);
   const uint folded = (uint)index ^ (uint)(index >> 32);
-  return (float2)(uniform_of(sobol_x((uint)index, (uint)seeds)), uniform_of(sobol_y(folded, (uint)(seeds >> 32))));
+  const ulong xy = sobol_xy((uint)index, folded, (uint)seeds, (uint)(seeds >> 32));
+  return (float2)(uniform_of((uint)(xy >> 32)), uniform_of((uint)xy));
 }

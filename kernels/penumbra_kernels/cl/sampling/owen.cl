@@ -4,8 +4,10 @@
 
 #if PENUMBRA_BUILTINS
 #define REVERSE_BITS(x) __builtin_bitreverse32(x)
+#define REVERSE_BITS64(x) __builtin_bitreverse64(x)
 #else
 #define REVERSE_BITS(x) reverse_bits(x)
+#define REVERSE_BITS64(x) (((ulong)reverse_bits((uint)(x)) << 32) | reverse_bits((uint)((x) >> 32)))
 static inline uint reverse_bits(uint x) {
   x = (x >> 16) | (x << 16);
   x = ((x >> 8) & 0x00ff00ffu) | ((x & 0x00ff00ffu) << 8);
@@ -26,8 +28,13 @@ static inline uint scramble_reversed(uint x, const uint seed) {
   return x;
 }
 
+// Of a number that is reversed already.
+static inline uint owen_scramble_of(const uint reversed, const uint seed) {
+  return REVERSE_BITS(scramble_reversed(reversed, seed));
+}
+
 static inline uint owen_scramble(const uint x, const uint seed) {
-  return REVERSE_BITS(scramble_reversed(REVERSE_BITS(x), seed));
+  return owen_scramble_of(REVERSE_BITS(x), seed);
 }
 
 // Second Sobol dimension of an index, reversed. The first dimension is the reversed index, so its own reversal is the index
@@ -46,4 +53,11 @@ static inline uint sobol_x(const uint index, const uint seed) { return REVERSE_B
 
 static inline uint sobol_y(const uint index, const uint seed) {
   return REVERSE_BITS(scramble_reversed(pascal_reversed(index), seed));
+}
+
+// Both, turned round in one go: x in the high half.
+static inline ulong sobol_xy(const uint index_x, const uint index_y, const uint seed_x, const uint seed_y) {
+  const uint x = scramble_reversed(index_x, seed_x);
+  const uint y = scramble_reversed(pascal_reversed(index_y), seed_y);
+  return REVERSE_BITS64(((ulong)y << 32) | x);
 }

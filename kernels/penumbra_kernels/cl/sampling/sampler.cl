@@ -41,6 +41,7 @@ static inline Sampler sampler_start(const __global Params *params, const uint x,
   s.key = pixel_key(params->seed, x, y, replicate);
   s.frame_key = hash_combine(mix64(params->seed ^ FRAME_SALT), replicate);
   s.index = 0ul;
+  s.reversed = 0u;
   s.strata = params->strata;
   s.passes = 0u;
   s.digits = 0u;
@@ -64,6 +65,9 @@ static inline void sampler_next(Sampler *s, const ulong index) {
   s->index = index * s->stride + s->rank;
 #else
   s->index = index;
+#endif
+#if PENUMBRA_SAMPLER == SAMPLER_SOBOL
+  s->reversed = REVERSE_BITS((uint)index);
 #endif
 }
 

@@ -14,6 +14,7 @@
 typedef struct {
   ulong key;      // hash of (seed, pixel, replicate)
   ulong index;    // of the sample within its replicate
+  uint reversed;  // its low 32 bits, the lowest first (sobol)
   uint strata;    // planned samples a replicate; 0: unknown, strata double
   uint passes;    // log2 of the samples below the pixel's rank (blue noise)
   uint digits;    // base-4 digits of the pixel's rank (blue noise)

@@ -10,15 +10,21 @@ static inline ulong sobol_key(const Sampler *s, const ulong dimension, const ulo
   return epoch ? hash_combine(key, epoch) : key;
 }
 
+// The element's place after its dimension's own shuffle. Nearly always the element is the sample's index.
+static inline uint sobol_shuffled(const Sampler *s, const ulong element, const ulong key) {
+  return owen_scramble_of(element == s->index ? s->reversed : REVERSE_BITS((uint)element), (uint)key);
+}
+
 static inline float sobol_1d(const Sampler *s, const ulong dimension, const ulong element, const uint strata) {
   const ulong key = sobol_key(s, dimension, element);
-  const uint shuffled = owen_scramble((uint)element, (uint)key);
+  const uint shuffled = sobol_shuffled(s, element, key);
   return uniform_of(sobol_x(shuffled, (uint)(key >> 32)));
 }
 
 static inline float2 sobol_2d(const Sampler *s, const ulong dimension, const ulong element, const uint strata) {
   const ulong key = sobol_key(s, dimension, element);
   const ulong more = mix64(key);
-  const uint shuffled = owen_scramble((uint)element, (uint)key);
-  return (float2)(uniform_of(sobol_x(shuffled, (uint)(more >> 32))), uniform_of(sobol_y(shuffled, (uint)more)));
+  const uint shuffled = sobol_shuffled(s, element, key);
+  const ulong xy = sobol_xy(shuffled, shuffled, (uint)(more >> 32), (uint)more);
+  return (float2)(uniform_of((uint)(xy >> 32)), uniform_of((uint)xy));
 }
