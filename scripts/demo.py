@@ -22,7 +22,7 @@ from penumbra_client.cli.report import error_text
 from penumbra_scene.job import JobStatus
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-SCENE: Final = ROOT / "examples" / "all_effects.json"
+SCENE: Final = ROOT / "examples" / "cornell.json"
 OUT: Final = ROOT / "out" / "demo"
 _START_SECONDS: Final = 60.0
 _STOP_SECONDS: Final = 40.0
