@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -59,15 +58,15 @@ def _platform_key(name: str) -> str:
     return name.lower().split()[0].replace("(r)", "").replace("(tm)", "")
 
 
-def _describe(device: cl.Device, driver: cl.Platform, number: int) -> DeviceInfo:
+def _describe(device: cl.Device, platform: cl.Platform, number: int) -> DeviceInfo:
     import pyopencl as cl
 
     kind = KIND_GPU if device.type & cl.device_type.GPU else KIND_CPU
     return DeviceInfo(
-        id=f"{_platform_key(driver.name)}:{number}",
+        id=f"{_platform_key(platform.name)}:{number}",
         name=device.name.strip(),
-        platform=driver.name.strip(),
-        platform_version=driver.version.strip(),
+        platform=platform.name.strip(),
+        platform_version=platform.version.strip(),
         driver=device.driver_version.strip(),
         kind=kind,
         compute_units=device.max_compute_units,
@@ -84,13 +83,13 @@ def _enumerate() -> list[tuple[DeviceInfo, Any]]:
         platforms = cl.get_platforms()
     except cl.LogicError:
         return found
-    for driver in platforms:
+    for platform in platforms:
         try:
-            devices = driver.get_devices()
+            devices = platform.get_devices()
         except cl.Error:
             continue
         for number, device in enumerate(devices):
-            found.append((_describe(device, driver, number), device))
+            found.append((_describe(device, platform, number), device))
     return found
 
 
@@ -123,10 +122,11 @@ class Device:
         return {
             "PENUMBRA_DEVICE_GPU": int(self.info.kind == KIND_GPU),
             "PENUMBRA_BUILTINS": int(builtins),
-            "PENUMBRA_X86": int(builtins and platform.machine() in ("x86_64", "AMD64")),
+            # An OpenCL CPU is this machine's; its name tells a model, not always the instruction set.
+            "PENUMBRA_X86": int(builtins and platform.machine().lower() in ("x86_64", "amd64")),
         }
 
-    def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> Any:
+    def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> cl.Program:
         """Assemble and build a program, from the cache where it is there. Raises BuildError with the log."""
         import pyopencl as cl
 
@@ -141,9 +141,7 @@ class Device:
         try:
             program = cl.Program(self.context, source).build(list(BUILD_OPTIONS))
         except cl.Error as error:
-            raise BuildError(
-                f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}"
-            ) from error
+            raise BuildError(f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}") from error
         self.builds += 1
         cache.store(key, program.get_info(cl.program_info.BINARIES)[0])
         return program
@@ -156,41 +154,26 @@ class Device:
         if data.size < 16:
             data = np.concatenate([data, np.zeros(16 - data.size, np.uint8)])
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        with self._driver(f"copying {data.size} bytes to the device"):
-            return cl.Buffer(self.context, flags, hostbuf=data)
+        return cl.Buffer(self.context, flags, hostbuf=data)
 
     def allocate(self, size: int) -> cl.Buffer:
         """A read-write buffer of `size` bytes, its content undefined."""
         import pyopencl as cl
 
-        with self._driver(f"allocating {size} bytes"):
-            return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
 
     def launch(self, kernel: cl.Kernel, arguments: Sequence[Any], count: int, local: int) -> None:
-        """Run `count` work-items (more than none) in groups of `local`, and wait. The caller keeps the argument
-        buffers alive."""
+        """Run `count` work-items in groups of `local`, and wait. The caller keeps the argument buffers alive."""
         import pyopencl as cl
 
-        with self._driver(f"running {kernel.function_name} over {count} work-items"):
-            kernel.set_args(*arguments)
-            cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,)).wait()
+        kernel.set_args(*arguments)
+        cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,)).wait()
 
     def download(self, buffer: cl.Buffer, out: np.ndarray[Any, Any]) -> None:
         """Fill a contiguous array from a buffer; waits for the queue."""
         import pyopencl as cl
 
-        with self._driver(f"copying {out.nbytes} bytes from the device"):
-            cl.enqueue_copy(self.queue, out, buffer)
-
-    @contextmanager
-    def _driver(self, what: str) -> Iterator[None]:
-        """Turn the driver's errors into DeviceError."""
-        import pyopencl as cl
-
-        try:
-            yield
-        except cl.Error as error:
-            raise DeviceError(f"{self.info.id} ({self.info.name}) failed {what}: {error}") from error
+        cl.enqueue_copy(self.queue, out, buffer)
 
 
 def _portable() -> bool:
