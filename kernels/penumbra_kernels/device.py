@@ -7,9 +7,9 @@ first device is asked for.
 from __future__ import annotations
 
 import os
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from platform import machine
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -123,7 +123,7 @@ class Device:
             "PENUMBRA_DEVICE_GPU": int(self.info.kind == KIND_GPU),
             "PENUMBRA_BUILTINS": int(builtins),
             # An OpenCL CPU is this machine's; its name tells a model, not always the instruction set.
-            "PENUMBRA_X86": int(builtins and platform.machine().lower() in ("x86_64", "amd64")),
+            "PENUMBRA_X86": int(builtins and machine().lower() in ("x86_64", "amd64")),
         }
 
     def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> cl.Program:
