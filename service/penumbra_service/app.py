@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api import assets, events, jobs, openapi, problems, reference, results, system
 from penumbra_service.api.guard import Guard
+from penumbra_service.api.limits import LimitBodies
 from penumbra_service.api.metrics import CountRequests, Metrics
 from penumbra_service.running import Runner
 from penumbra_service.service import RenderService
@@ -57,6 +58,7 @@ def create_app(settings: Settings, runner: Runner | None = None) -> FastAPI:
     for module in (jobs, results, events, assets, system, reference):
         app.include_router(module.router)
     _add_pages(app)
+    app.add_middleware(LimitBodies, settings=settings)
     app.add_middleware(Guard, service=service)
     app.add_middleware(CountRequests, metrics=app.state.metrics)
     return app
