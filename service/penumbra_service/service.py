@@ -40,6 +40,8 @@ ACTIVE: Final = (JobState.COMPILING, JobState.RENDERING, JobState.FINISHING)
 WAITING: Final = (JobState.QUEUED,)
 OPEN: Final = (*WAITING, *ACTIVE, JobState.PAUSED)
 """States that are no end."""
+RETRY_SECONDS: Final = 5.0
+"""Wait of the queue after the ledger could not be read or written."""
 
 
 class ConflictError(Exception):
@@ -72,8 +74,8 @@ class RenderService:
 
     def start(self) -> None:
         """Puts what an earlier process left running back into the queue, and begins to work."""
-        for row in self.jobs.waiting(ACTIVE):
-            self.jobs.move(row.id, ACTIVE, JobState.QUEUED)
+        self._requeue()
+        self._sweep()
         self.runner.start()
         self._thread = threading.Thread(target=self._work, name="penumbra-queue", daemon=True)
         self._thread.start()
@@ -176,16 +178,49 @@ class RenderService:
             return self._running is not None and self._running[0].id == job_id
 
     def _work(self) -> None:
-        while (taken := self._take()) is not None:
-            row, control = taken
+        """Until the service stops. A disk that is full or a ledger that is locked only makes the queue wait."""
+        lost = False
+        while not self._stopping:
             try:
-                self._run(row, control)
+                if lost:
+                    self._requeue()
+                    lost = False
+                self._work_one()
             except Exception:
-                log.exception("job %s: the service failed", row.id)
-                self._end(row.id, Outcome(problem=_internal_problem()))
-            finally:
+                log.exception("the queue cannot go on; it tries again in %g s", RETRY_SECONDS)
+                lost = True
                 with self._wake:
-                    self._running = None
+                    self._wake.wait_for(lambda: self._stopping, RETRY_SECONDS)
+
+    def _work_one(self) -> None:
+        taken = self._take()
+        if taken is None:
+            return
+        row, control = taken
+        try:
+            self._run(row, control)
+        except Exception:
+            log.exception("job %s: the service failed", row.id)
+            self._end(row.id, Outcome(problem=_internal_problem()))
+            self._clean(row.id)
+        finally:
+            with self._wake:
+                self._running = None
+
+    def _requeue(self) -> None:
+        """Puts jobs that say that they run, while none does, back into the queue."""
+        for row in self.jobs.waiting(ACTIVE):
+            if self.jobs.move(row.id, ACTIVE, JobState.QUEUED) is not None:
+                self.watchers.ring(row.id)
+
+    def _sweep(self) -> None:
+        """Removes what a killed process left: folders of jobs that have ended, uploads that never did."""
+        kept = {row.id for row in self.jobs.waiting(OPEN)}
+        if self.settings.work_folder.is_dir():
+            for folder in self.settings.work_folder.iterdir():
+                if folder.name not in kept:
+                    shutil.rmtree(folder, ignore_errors=True)
+        self.asset_store.sweep()
 
     def _take(self) -> tuple[JobRow, Control] | None:
         """Waits for a job and marks it; None once the service stops."""

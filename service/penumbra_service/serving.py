@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import logging
 import signal
 import socket
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
@@ -14,10 +17,13 @@ import uvicorn
 from penumbra_scene.exits import Exit
 
 from penumbra_service.app import create_app
-from penumbra_service.settings import Settings
+from penumbra_service.settings import Settings, SettingsError
+
+log = logging.getLogger(__name__)
 
 _GRACE_SECONDS: Final = 5
 """After this, connections that a stop finds open are cut off."""
+LOCK: Final = "service.lock"
 
 
 def serve(settings: Settings) -> int:
@@ -28,7 +34,7 @@ def serve(settings: Settings) -> int:
     logging.basicConfig(
         level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s"
     )
-    with listen(settings.host, settings.port) as listening:
+    with listen(settings.host, settings.port) as listening, sole_user(settings.data):
         config = uvicorn.Config(
             create_app(settings),
             log_config=None,
@@ -53,6 +59,20 @@ def listen(host: str, port: int) -> socket.socket:
     return listening
 
 
+@contextlib.contextmanager
+def sole_user(data: Path) -> Iterator[None]:
+    """Holds the data folder: two services would run the same jobs. Raises SettingsError where one is up."""
+    data.mkdir(parents=True, exist_ok=True)
+    with (data / LOCK).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SettingsError(f"data: given {data}, which another running service uses") from None
+        except OSError as error:  # a file system without locks
+            log.warning("cannot lock %s (%s): let no other service use it", data, error)
+        yield
+
+
 def url_of(listening: socket.socket) -> str:
     """The address that a browser on this machine takes."""
     host, port = listening.getsockname()[:2]
@@ -64,9 +84,13 @@ def url_of(listening: socket.socket) -> str:
 class _Server(uvicorn.Server):
     """Says where it listens once it does: whoever started it waits for that line."""
 
+    failed = False
+    """Whether the application could not start; its log says why."""
+
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
-        for listening in sockets or ():
+        self.failed = self.lifespan.should_exit
+        for listening in () if self.failed else sockets or ():
             print(f"Penumbra listens on {url_of(listening)}", flush=True)
 
 
@@ -78,7 +102,7 @@ def _run(server: uvicorn.Server, listening: socket.socket) -> int:
             server.run(sockets=[listening])
         except SystemExit as leaving:
             return Exit.OK if leaving.code == Exit.OK else Exit.INTERNAL
-    return Exit.OK
+    return Exit.INTERNAL if server.failed else Exit.OK
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

@@ -16,7 +16,9 @@ import httpx
 import pytest
 from penumbra_scene.exits import Exit
 from penumbra_scene.receipt import Receipt
-from penumbra_service.serving import listen, url_of
+from penumbra_service.service import RenderService
+from penumbra_service.serving import listen, serve, url_of
+from penumbra_service.settings import Settings
 
 PENUMBRA = (sys.executable, "-m", "penumbra_client")
 SCENE = {
@@ -118,6 +120,30 @@ def test_a_taken_port_is_told(environment: dict[str, str]) -> None:
     assert result.returncode == Exit.USAGE
     assert f"port {port}" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_two_services_do_not_share_a_data_folder(environment: dict[str, str]) -> None:
+    with _serving(environment) as (address, _):
+        result = _penumbra("serve", "--port", "0", environment=environment)
+        assert httpx.get(f"{address}/health/live").status_code == 200
+    assert result.returncode == Exit.USAGE
+    assert environment["PENUMBRA_DATA"] in result.stderr
+    assert "another running service" in result.stderr
+
+
+def test_a_service_that_cannot_start_does_not_say_that_it_listens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def fail(self: RenderService) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(RenderService, "start", fail)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert serve(Settings(data=tmp_path, port=0)) == Exit.INTERNAL
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert _ANNOUNCEMENT not in capfd.readouterr().out
 
 
 def test_settings_that_cannot_be_used_are_told(environment: dict[str, str]) -> None:

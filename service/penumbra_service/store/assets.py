@@ -10,13 +10,16 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 from sqlalchemy import insert, select
 
 from penumbra_service.store.content import NoSuchAssetError, asset_file
 from penumbra_service.store.database import Database
 from penumbra_service.store.schema import assets
+
+_UPLOAD: Final = ".upload-"
+"""How names of unfinished uploads begin."""
 
 
 class AssetTooLargeError(ValueError):
@@ -95,7 +98,7 @@ class AssetStore:
     @contextmanager
     def upload(self) -> Iterator[Upload]:
         """A place to write to; whatever is not handed to `place` is forgotten."""
-        handle, name = tempfile.mkstemp(prefix=".upload-", dir=self._folder)
+        handle, name = tempfile.mkstemp(prefix=_UPLOAD, dir=self._folder)
         os.close(handle)
         upload = Upload(Path(name), self._max_bytes)
         try:
@@ -103,6 +106,11 @@ class AssetStore:
         finally:
             upload.close()
             upload.path.unlink(missing_ok=True)
+
+    def sweep(self) -> None:
+        """Removes uploads that an earlier process did not live to finish. None may be under way."""
+        for path in self._folder.glob(f"{_UPLOAD}*"):
+            path.unlink(missing_ok=True)
 
     def place(self, upload: Upload, expected: str | None = None) -> bool:
         """Files the bytes under their digest; whether they are new. Raises AssetDigestError.

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from penumbra_scene.job import JobPage, JobStatus, Validation
+from penumbra_service import service as service_module
 from penumbra_service.app import create_app
 
 
@@ -238,3 +239,49 @@ def test_a_killed_service_leaves_no_job_behind(
     runner.let()
     with TestClient(app, base_url="http://127.0.0.1") as client:
         until(lambda: client.get(f"/v1/jobs/{job_id}").json()["state"] == "done")
+
+
+def test_the_queue_outlives_a_ledger_that_fails_for_a_while(
+    client: TestClient, scene: dict[str, Any], runner: Any, wait_for: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with a full disk: the job's end cannot be written, nor that it failed."""
+    monkeypatch.setattr(service_module, "RETRY_SECONDS", 0.01)
+    store = client.app.state.service.jobs  # type: ignore[attr-defined]
+    move, refused = store.move, []
+
+    def sometimes(job_id: str, allowed: Any, to: str, **fields: Any) -> Any:
+        if to in ("done", "failed") and len(refused) < 2:
+            refused.append(to)
+            raise OSError("no space left on device")
+        return move(job_id, allowed, to, **fields)
+
+    monkeypatch.setattr(store, "move", sometimes)
+    runner.let()
+    wait_for(client.post("/v1/jobs", json=scene).json()["id"], "done")
+    assert refused == ["done", "failed"]
+
+
+def test_a_restart_sweeps_up_what_no_job_needs(
+    settings: Any, scene: dict[str, Any], runner: Any, until: Any
+) -> None:
+    for name in ("work/left", "assets/ab"):
+        (settings.data / name).mkdir(parents=True)
+    (settings.data / "work" / "left" / "1.tile").write_bytes(b"old")
+    (settings.data / "assets" / ".upload-1").write_bytes(b"half")
+    with TestClient(create_app(settings, runner), base_url="http://127.0.0.1") as client:
+        job_id = client.post("/v1/jobs", json=scene).json()["id"]
+        runner.let(3)
+        until(lambda: client.get(f"/v1/jobs/{job_id}").json()["progress"] >= 0.3)
+        assert not (settings.data / "work" / "left").exists()
+        assert not (settings.data / "assets" / ".upload-1").exists()
+    with TestClient(create_app(settings, runner), base_url="http://127.0.0.1"):
+        assert (settings.data / "work" / job_id / "snapshot").is_file()
+
+
+def test_a_job_that_the_service_failed_leaves_no_snapshots(
+    client: TestClient, scene: dict[str, Any], runner: Any, wait_for: Any, settings: Any, until: Any
+) -> None:
+    runner.raise_error = True
+    job_id = client.post("/v1/jobs", json=scene).json()["id"]
+    wait_for(job_id, "failed")
+    until(lambda: not (settings.data / "work" / job_id).exists())

@@ -40,7 +40,7 @@ def refused(answer: Any) -> None:
 @pytest.mark.parametrize("announced", [True, False])
 def test_a_form_with_a_long_file_is_refused(small: TestClient, announced: bool) -> None:
     head = b'--b\r\nContent-Disposition: form-data; name="file"; filename="scene.json"\r\n\r\n'
-    body = head + b" " * (MOST) + b"\r\n--b--\r\n"
+    body = head + b" " * MOST + b"\r\n--b--\r\n"
     content = body if announced else (body[i : i + 5000] for i in range(0, len(body), 5000))
     refused(
         small.post("/submit", content=content, headers={"Content-Type": "multipart/form-data; boundary=b"})
@@ -69,5 +69,5 @@ def test_the_log_in_page_reads_little_from_strangers(tmp_path: Path, runner: Any
 
 def test_assets_keep_their_own_limit(small: TestClient) -> None:
     corners = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    comment = b"# " + b"x" * (MOST) + b"\n"
+    comment = b"# " + b"x" * MOST + b"\n"
     assert small.post("/v1/assets", content=comment + corners).status_code == 201
