@@ -15,6 +15,9 @@
 #define QUAD_BY_RECTANGLE 1u
 #define QUAD_BY_FAN 2u
 
+// A flat light of half diameter s at distance d looks small where s^2 < d^2 / 128: over it cos / r^2 = h / r^3 then varies
+// by less than ((1 + x) / (1 - x))^3 = 1.7, x = sqrt(1 / 128), from end to end, even seen edge-on.
+#define FLAT_FAR 0.0078125f
 // Rounding of the angles in it, some 2^-21, is then at most 2^-15 of the solid angle: a shift of a sample by 3e-5 of it.
 #define RECTANGLE_SOLID_ANGLE 0.03125f
 // |cos| between edges that counts as a right angle: the rounding of two rotated edges.
@@ -123,16 +126,16 @@ static inline float quad_pdf(const QuadView *view, const float distance) {
 }
 
 // The plane at z = -height in the frame of the edges. A point (x, y) of it is seen at the elevation whose sine and cosine are
-// y and height over `reach`, the distance to (0, y).
+// y and height over their reach, the distance to (0, y).
 typedef struct {
-  float reach, sine, cosine;
+  float inverse_reach, sine, cosine;
 } Elevation;
 
 static inline Elevation elevation(const float y, const float height) {
   Elevation e;
-  e.reach = SQRT(y * y + height * height);
-  e.sine = y / e.reach;
-  e.cosine = height / e.reach;
+  e.inverse_reach = 1.0f / SQRT(y * y + height * height);
+  e.sine = y * e.inverse_reach;
+  e.cosine = height * e.inverse_reach;
   return e;
 }
 
@@ -178,8 +181,8 @@ static inline float rectangle_x(const QuadView *view, const float x0, const floa
                                 const float u) {
   const float z = view->height;
   const Elevation e0 = elevation(y0, z), e1 = elevation(y1, z), ex = elevation(x0, z);
-  const float sine0 = ex.sine * e0.sine, cosine0 = ex.cosine * (view->distance0 / e0.reach);
-  const float sine1 = ex.sine * e1.sine, cosine1 = ex.cosine * (view->distance3 / e1.reach);
+  const float sine0 = ex.sine * e0.sine, cosine0 = ex.cosine * (view->distance0 * e0.inverse_reach);
+  const float sine1 = ex.sine * e1.sine, cosine1 = ex.cosine * (view->distance3 * e1.inverse_reach);
   const float sine_before = sine1 * cosine0 - cosine1 * sine0;
   const float cosine_before = cosine1 * cosine0 + sine1 * sine0;
   float s, c;
@@ -195,10 +198,12 @@ static inline float2 quad_rectangle_point(const Quad *q, const QuadView *view, c
   const float width = length3(q->u);
   const float depth = length3(q->v);
   const float z = view->height;
-  const float x0 = dot3(view->o, q->u) / width;
-  const float y0 = dot3(view->o, q->v) / depth;
+  const float inverse_width = 1.0f / width;
+  const float inverse_depth = 1.0f / depth;
+  const float x0 = dot3(view->o, q->u) * inverse_width;
+  const float y0 = dot3(view->o, q->v) * inverse_depth;
   const float y1 = y0 + depth;
-  const float a = CLAMP01((rectangle_x(view, x0, x0 + width, y0, y1, u.x) - x0) / width);
+  const float a = CLAMP01((rectangle_x(view, x0, x0 + width, y0, y1, u.x) - x0) * inverse_width);
   // Along v the sine of the elevation is uniform between its ends.
   const float x = a * width + x0;
   const float d2 = x * x + z * z;
@@ -206,7 +211,7 @@ static inline float2 quad_rectangle_point(const Quad *q, const QuadView *view, c
   const float h1 = y1 / SQRT(d2 + y1 * y1);
   const float h = h0 + u.y * (h1 - h0);
   const float y = h * SQRT(d2 / MAX((1.0f - h) * (1.0f + h), 0x1p-100f));
-  return (float2)(a, CLAMP01((y - y0) / depth));
+  return (float2)(a, CLAMP01((y - y0) * inverse_depth));
 }
 
 // u.x sweeps the arc from corner 1 over 2 to 3, u.y goes out from corner 0. Returns (a, b).
