@@ -7,10 +7,11 @@
 #endif
 #include "geometry/spawn.cl"
 
-static inline void local_surface(const SceneData *scene, const Ray *ray, const Hit *hit, LocalSurface *s) {
+static inline void local_surface(const SceneData *scene, const Ray *ray, const Hit *hit, const bool tangent,
+                                 LocalSurface *s) {
 #if PENUMBRA_ROUND
   if (hit->kind == PRIMITIVE_SPHERE) {
-    sphere_surface(scene, ray, hit, s);
+    sphere_surface(scene, ray, hit, tangent, s);
     return;
   }
   if (hit->kind == PRIMITIVE_DISC) {
@@ -22,7 +23,7 @@ static inline void local_surface(const SceneData *scene, const Ray *ray, const H
     return;
   }
 #endif
-  triangle_surface(scene, hit, ray->time, s);
+  triangle_surface(scene, hit, ray->time, tangent, s);
 }
 
 #if PENUMBRA_INSTANCING
@@ -58,8 +59,10 @@ static inline float3 unit_tangent(const float3 tangent, const float3 n) {
   return s;
 }
 
-// `hit` is a hit (not a miss) of `ray`.
-static inline void surface_at(const SceneData *scene, const Ray ray, const Hit hit, Surface *surface) {
+// `hit` is a hit (not a miss) of `ray`. tangent: whether tangents and uv are asked for on materials without use for them too; where
+// not, the tangent is any vector orthogonal to ns there.
+static inline void surface_with(const SceneData *scene, const Ray ray, const Hit hit, const bool tangent,
+                                Surface *surface) {
   LocalSurface s;
   Ray own = ray;
 #if PENUMBRA_INSTANCING
@@ -70,7 +73,7 @@ static inline void surface_at(const SceneData *scene, const Ray ray, const Hit h
     own.d = transform_vector(object_from_world, ray.d);
   }
 #endif
-  local_surface(scene, &own, &hit, &s);
+  local_surface(scene, &own, &hit, tangent, &s);
 #if PENUMBRA_INSTANCING
   if (hit.instance != NONE) place_surface(world_from_object, object_from_world, &s);
 #endif
@@ -79,10 +82,24 @@ static inline void surface_at(const SceneData *scene, const Ray ray, const Hit h
   surface->ng = s.ng;
   const float3 ns = unit_or(s.ns, s.ng);
   surface->ns = dot3(ns, s.ng) < 0.0f ? -ns : ns;
-  surface->tangent = unit_tangent(s.tangent, surface->ns);
+  if (tangent || shape_has_grain(scene, s.shape)) {
+    surface->tangent = unit_tangent(s.tangent, surface->ns);
+  } else {
+    float3 unused;
+    make_frame(surface->ns, &surface->tangent, &unused);
+  }
   surface->uv = s.uv;
   surface->shape = s.shape;
   surface->instance = hit.instance;
   surface->kind = hit.kind;
   surface->primitive = hit.primitive;
+}
+
+static inline void surface_at(const SceneData *scene, const Ray ray, const Hit hit, Surface *surface) {
+  surface_with(scene, ray, hit, true, surface);
+}
+
+// What shading needs.
+static inline void surface_to_shade(const SceneData *scene, const Ray ray, const Hit hit, Surface *surface) {
+  surface_with(scene, ray, hit, false, surface);
 }

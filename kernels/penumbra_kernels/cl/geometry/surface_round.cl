@@ -16,7 +16,8 @@ static inline float2 sphere_uv(const float3 n) {
   return (float2)(longitude < 0.0f ? longitude + 1.0f : longitude, 0.5f + atan2_f(n.y, horizontal) * INV_PI_F);
 }
 
-static inline void sphere_surface(const SceneData *scene, const Ray *ray, const Hit *hit, LocalSurface *s) {
+static inline void sphere_surface(const SceneData *scene, const Ray *ray, const Hit *hit, const bool tangent,
+                                  LocalSurface *s) {
   const __global SphereData *sphere = scene->spheres + hit->primitive;
   const float3 center = load3(sphere->center);
   const float3 n = normalize3((ray->o - center) + hit->t * ray->d);
@@ -27,6 +28,9 @@ static inline void sphere_surface(const SceneData *scene, const Ray *ray, const 
   s->p_error = GAMMA(10) * sphere->radius * abs3(n) + GAMMA(2) * abs3(center);
   s->ng = n;
   s->ns = (float3)(0.0f);
+  s->uv = (float2)(0.0f);
+  s->tangent = (float3)(0.0f);
+  if (!tangent && !shape_has_grain(scene, s->shape) && !shape_has_texture(scene, s->shape)) return;
   const float3 q = load3(sphere->frame);
   const float4 frame = (float4)(q, safe_sqrt(1.0f - dot3(q, q)));
   // A mirrored sphere: its frame is a rotation after x was mirrored.
@@ -36,8 +40,6 @@ static inline void sphere_surface(const SceneData *scene, const Ray *ray, const 
   s->tangent = rotate_by(frame, (float3)(mirror * own.z, 0.0f, -own.x));
 #if PENUMBRA_TEXTURES
   s->uv = sphere_uv(own);
-#else
-  s->uv = (float2)(0.0f);
 #endif
 }
 

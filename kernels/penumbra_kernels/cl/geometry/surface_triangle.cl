@@ -28,7 +28,7 @@ static inline void triangle_vertices(const SceneData *scene, const __global Tria
 static inline float3 winding_normal(const float3 v[3]) {
   const float3 e1 = v[1] - v[0], e2 = v[2] - v[0];
   const float size = MAX(max3(abs3(e1)), max3(abs3(e2)));
-  const float scale = 1.0f / size;
+  const float scale = as_float(0x7f000000u - (as_uint(size) & 0x7f800000u));  // a power of two: nothing is rounded
   const float3 n = cross3(e1 * scale, e2 * scale);
   const float length = length3(n);
   if (length > 0.0f) return n * (1.0f / length);
@@ -99,7 +99,8 @@ static inline float3 pulled_inside(const float3 p, const float3 rounding, const 
   return error < away ? p + inwards * (error / away) : p + inwards;
 }
 
-static inline void triangle_surface(const SceneData *scene, const Hit *hit, const float time, LocalSurface *s) {
+static inline void triangle_surface(const SceneData *scene, const Hit *hit, const float time, const bool tangent,
+                                    LocalSurface *s) {
   const __global TriangleData *triangle = scene->triangles + hit->primitive;
   const __global ShapeData *shape = scene->shapes + triangle->shape;
   const float3 weight = (float3)(1.0f - hit->u - hit->v, hit->u, hit->v);
@@ -121,5 +122,6 @@ static inline void triangle_surface(const SceneData *scene, const Hit *hit, cons
   s->ng = shape->flags & SHAPE_FLIP ? -n : n;
   s->ns = vertex_normal(scene, triangle, shape, time, weight);
   s->uv = uv[0] * weight.x + uv[1] * weight.y + uv[2] * weight.z;
-  s->tangent = triangle_tangent(v, uv);
+  s->tangent = (float3)(0.0f);
+  if (tangent || shape_has_grain(scene, s->shape)) s->tangent = triangle_tangent(v, uv);
 }

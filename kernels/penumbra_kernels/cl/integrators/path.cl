@@ -77,7 +77,7 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
       break;
     }
     Surface surface;
-    surface_at(scene, ray, hit, &surface);
+    surface_to_shade(scene, ray, hit, &surface);
     const float3 wo = -normalize3(ray.d);
 #if PENUMBRA_AREA_LIGHTS
     const uint light = scene->shapes[surface.shape].light;
