@@ -79,17 +79,22 @@ static inline void make_frame(const float3 n, float3 *s, float3 *t) {
   *t = (float3)(b, sign + n.y * n.y * a, -n.y);
 }
 
-// sin and cos of 2 pi u for u in [0, 1]: quadrant reduction is exact, then minimax polynomials on [-pi/4, pi/4];
-// absolute error below 2^-22.
+// sin and cos of x quarter turns for x in [-1/2, 1/2]: minimax polynomials; absolute error below 2^-22.
+static inline void sincos_near(const float x, float *s, float *c) {
+  const float r = x * 1.57079632679f;
+  const float r2 = r * r;
+  *s = r * (1.0f + r2 * (-1.6666667e-1f + r2 * (8.3333310e-3f + r2 * (-1.98409e-4f + r2 * 2.7526e-6f))));
+  *c = 1.0f + r2 * (-0.5f + r2 * (4.16666418e-2f + r2 * (-1.3888397e-3f + r2 * 2.4760495e-5f)));
+}
+
+// sin and cos of 2 pi u for u in [0, 1]: the same after an exact reduction to a quadrant.
 static inline void sincos_2pi(const float u, float *s, float *c) {
   const float x = u * 4.0f;
   const int q = (int)(x + 0.5f);
-  const float r = (x - (float)q) * 1.57079632679f;
-  const float r2 = r * r;
-  const float ps = r * (1.0f + r2 * (-1.6666667e-1f + r2 * (8.3333310e-3f + r2 * (-1.98409e-4f + r2 * 2.7526e-6f))));
-  const float pc = 1.0f + r2 * (-0.5f + r2 * (4.16666418e-2f + r2 * (-1.3888397e-3f + r2 * 2.4760495e-5f)));
-  const float a = (q & 1) ? pc : ps;
-  const float b = (q & 1) ? ps : pc;
-  *s = (q & 2) ? -a : a;
-  *c = ((q + 1) & 2) ? -b : b;
+  float ps, pc;
+  sincos_near(x - (float)q, &ps, &pc);
+  const uint a = as_uint((q & 1) ? pc : ps);
+  const uint b = as_uint((q & 1) ? ps : pc);
+  *s = as_float(a ^ ((uint)(q & 2) << 30));
+  *c = as_float(b ^ ((uint)((q + 1) & 2) << 30));
 }

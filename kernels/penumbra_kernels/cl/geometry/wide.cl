@@ -92,7 +92,8 @@ static inline bool wide_ray(const float3 o, const float3 d, WideRay *w) {
   const uint ky = kx == 2u ? 0u : kx + 1u;
   const float da[3] = {d.x, d.y, d.z};
   const float oa[3] = {o.x, o.y, o.z};
-  const float sz = 1.0f / da[kz];
+  const float ra[3] = {rx, ry, rz};
+  const float sz = ra[kz];
   w->kx = kx;
   w->ky = ky;
   w->kz = kz;

@@ -12,8 +12,9 @@ static inline float2 square_to_disc(const float2 u) {
   const bool wide = FABS(a) > FABS(b);
   const float r = wide ? a : b;
   float s, c;
-  sincos_2pi(0.125f * (wide ? b : a) / r, &s, &c);  // an angle in [-pi / 4, pi / 4]; r is never 0
-  return wide ? (float2)(r * c, r * s) : (float2)(r * s, r * c);
+  sincos_near(0.5f * ((wide ? b : a) / r), &s, &c);  // an angle in [-pi / 4, pi / 4]; r is never 0
+  const float along = r * c, across = r * s;
+  return (float2)(wide ? along : across, wide ? across : along);
 }
 
 // Cosine-weighted on the upper hemisphere; pdf = cos / pi per solid angle, always positive (Malley's method).
