@@ -135,15 +135,21 @@ class Device:
         binary = cache.load(key)
         if binary is not None:
             try:
-                return cl.Program(self.context, self.context.devices, [binary]).build(list(BUILD_OPTIONS))
+                known: cl.Program = cl.Program(self.context, self.context.devices, [binary])
+                known.build(list(BUILD_OPTIONS))
+                return known
             except cl.Error:
                 cache.discard(key)
         try:
-            program = cl.Program(self.context, source).build(list(BUILD_OPTIONS))
+            program: cl.Program = cl.Program(self.context, source)
+            program.build(list(BUILD_OPTIONS))
         except cl.Error as error:
-            raise BuildError(f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}") from error
+            raise BuildError(
+                f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}"
+            ) from error
         self.builds += 1
-        cache.store(key, program.get_info(cl.program_info.BINARIES)[0])
+        binaries: Any = program.get_info(cl.program_info.BINARIES)
+        cache.store(key, binaries[0])
         return program
 
     def upload(self, array: np.ndarray[Any, Any]) -> cl.Buffer:

@@ -14,7 +14,7 @@ from penumbra_scene.assets import AssetRef
 from penumbra_scene.errors import pointer, shorten
 from penumbra_scene.film import BoxFilter
 from penumbra_scene.lights import ImageEnvironment
-from penumbra_scene.materials import Phong, TextureRef
+from penumbra_scene.materials import Conductor, Dielectric, Phong, Plastic, TextureRef, ThinDielectric
 from penumbra_scene.placement import Affine, placements
 from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Instance, Mesh, Plane, Shape, Sphere
@@ -186,6 +186,25 @@ def _totals(scene: Scene) -> Iterator[SceneError]:
     shapes = sum(1 for _ in _each_shape(scene))
     if shapes > limits.MAX_SHAPES:
         yield SceneError("/shapes", "there are too many shapes", str(shapes), f"at most {limits.MAX_SHAPES}")
+    rough = len(_rough_kinds(scene))
+    if rough > limits.MAX_ALBEDO_TABLES:
+        accepted = f"at most {limits.MAX_ALBEDO_TABLES}: round them, or set energy_compensation to false"
+        message = "there are too many materials that differ in roughness, anisotropy or ior"
+        yield SceneError("/materials", message, str(rough), accepted)
+
+
+def _rough_kinds(scene: Scene) -> set[tuple[str | float, ...]]:
+    """What the materials that are prepared by a table of their own differ in."""
+    kinds: set[tuple[str | float, ...]] = set()
+    for material in scene.materials.values():
+        if isinstance(material, Plastic) or (
+            isinstance(material, (Conductor, Dielectric)) and material.energy_compensation
+        ):
+            ior = 0.0 if isinstance(material, Conductor) else material.ior
+            kinds.add((material.type, material.roughness, material.anisotropy, ior))
+        elif isinstance(material, ThinDielectric):
+            kinds.add((material.type, material.roughness, material.ior))
+    return kinds
 
 
 def _sizes(scene: Scene) -> Iterator[SceneError]:

@@ -32,7 +32,8 @@ class _Material(Model):
 
 class _Rough(_Material):
     roughness: Unit = 0.3
-    """0 is a perfect mirror or a clear pane; see docs/numerics.md for the smallest lobe that is sampled."""
+    """0 is a perfect mirror or a clear pane, and so is what lies below some 0.01: lobes narrower than that are
+    lost in rounding."""
     anisotropy: Annotated[Float, Field(ge=0, le=1)] = 0.0
     """OpenPBR's specular_roughness_anisotropy: stretches highlights along the tangent."""
     rotation: Float = 0.0

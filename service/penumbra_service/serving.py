@@ -94,7 +94,7 @@ class _Server(uvicorn.Server):
             print(f"Penumbra listens on {url_of(listening)}", flush=True)
 
 
-def _run(server: uvicorn.Server, listening: socket.socket) -> int:
+def _run(server: _Server, listening: socket.socket) -> int:
     # uvicorn raises the signal that stopped it once more when it is done: that is then a normal end.
     signal.signal(signal.SIGTERM, _leave)
     with contextlib.suppress(KeyboardInterrupt):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from penumbra_scene import limits
 from penumbra_scene.check import asset_refs, check_scene, scene_hash
 from penumbra_scene.placement import compose
 from penumbra_scene.scene import Scene
@@ -164,3 +165,18 @@ def test_documents_that_differ_have_different_hashes(minimal: dict[str, Any]) ->
         {**minimal, "film": {"width": 513}},
     ]
     assert len({hash_of(d) for d in [minimal, *others]}) == 6
+
+
+def test_rough_materials_are_counted_by_what_they_differ_in() -> None:
+    def scene(count: int, **keys: Any) -> dict[str, Any]:
+        material = {"type": "conductor", **keys}
+        return {
+            **CAMERA,
+            "materials": {
+                f"m{i}": {**material, "roughness": 0.2 + (i // 2) * 1e-4} for i in range(2 * count)
+            },
+        }
+
+    assert not errors(scene(limits.MAX_ALBEDO_TABLES))
+    assert "/materials" in errors(scene(limits.MAX_ALBEDO_TABLES + 1))
+    assert not errors(scene(limits.MAX_ALBEDO_TABLES + 1, energy_compensation=False))

@@ -87,7 +87,7 @@ class OpenCLBackend:
         scene = Scene.model_validate_json(Path(spec.scene_path).read_bytes())
         try:
             compiled = compile_scene(scene, assets_of(spec), spec.time)
-        except AssetError as error:
+        except (AssetError, ValueError) as error:  # too many of something, a matrix without an inverse
             raise SceneError(str(error)) from error
         seconds = time.perf_counter() - started
         try:

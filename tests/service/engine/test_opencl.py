@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from penumbra_scene.job import JobState, StopReason
+from penumbra_scene.limits import MAX_ALBEDO_TABLES
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine, list_devices
 from penumbra_service.engine.runner import Halt, JobRunner, RenderTask, RunResult
@@ -164,6 +165,17 @@ def test_samplers_with_other_statistics(engine, tmp_path, sampler):  # type: ign
         assert channels["SampleCount"].sum() == 16 * 40 * 32
     else:
         assert np.isfinite(channels["Variance.R"]).all()
+
+
+def test_a_scene_that_cannot_be_prepared_fails_at_once_with_the_reason(engine, tmp_path):  # type: ignore[no-untyped-def]
+    """More rough materials than there are tables for: no number of attempts would mend it."""
+    rough = {
+        f"m{i}": {"type": "conductor", "roughness": 0.2 + i * 1e-4} for i in range(MAX_ALBEDO_TABLES + 1)
+    }
+    result = JobRunner(engine, _task(tmp_path / "job", materials={**SCENE["materials"], **rough})).run()
+    assert result.failure is not None
+    assert result.failure.kind == "scene"
+    assert "rough materials" in result.failure.message
 
 
 def test_a_missing_asset_fails_the_job_and_names_it(engine, tmp_path):  # type: ignore[no-untyped-def]
