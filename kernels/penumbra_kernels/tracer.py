@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from penumbra_kernels.device import Device
 
 LAUNCH_SECONDS: Final = 0.05
-"""Display drivers kill longer launches."""
-ITEMS_PER_GROUP: Final = 16
-"""(pixel, replicate) pairs that a work-item of a CPU loops over: private arrays live once per work-item."""
+"""Display drivers kill longer launches; CPUs have none, and each launch waits for its slowest core."""
+GROUP_SAMPLES: Final = 64
+"""About as many samples a work-item of a CPU takes, over one or more (pixel, replicate) pairs: small groups spread evenly."""
 MAX_GROUPS: Final = 32768
 """PoCL compiles a kernel once more for grids of 65,535 and up, and once more for global offsets: neither is used."""
 
@@ -127,7 +127,7 @@ class Tracer:
         params["tile_x"], params["tile_y"] = tile.x, tile.y
         params["tile_width"], params["tile_height"] = tile.width, tile.height
         params["first_sample"], params["sample_count"] = first_sample, sample_count
-        params["items_per_group"] = ITEMS_PER_GROUP if self.device.info.kind == "cpu" else 1
+        params["items_per_group"] = max(GROUP_SAMPLES // sample_count, 1) if self.device.info.kind == "cpu" else 1
         params["item_count"] = items
         sums = np.empty(shape, SUM)
         layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
@@ -138,9 +138,7 @@ class Tracer:
             buffers["layers"] = self.device.allocate(layers.nbytes)
         if self.flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]:
             buffers["counts"] = self.device.upload(self._counts(tile, first_sample, sample_count))
-        arguments = [
-            buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"
-        ]
+        arguments = [buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"]
         self._run(arguments, items, int(params["items_per_group"]), sample_count)
         self.device.download(buffers["sums"], sums)
         if layers is not None:
@@ -148,12 +146,13 @@ class Tracer:
         return SumNode(tile, first_sample, sample_count, sums, layers)
 
     def _run(self, arguments: list[Any], items: int, per_group: int, sample_count: int) -> None:
-        """Launch all items, in slices of about LAUNCH_SECONDS at the rate measured so far."""
-        local = 1 if self.device.info.kind == "cpu" else 64
+        """Launch all items, on GPUs in slices of about LAUNCH_SECONDS at the rate measured so far."""
+        cpu = self.device.info.kind == "cpu"
+        local = 1 if cpu else 64
         at = 0
         while at < items:
             rate = self._items_per_second / sample_count
-            groups = min(max(int(rate * LAUNCH_SECONDS / per_group), 64), MAX_GROUPS)
+            groups = MAX_GROUPS if cpu else min(max(int(rate * LAUNCH_SECONDS / per_group), 64), MAX_GROUPS)
             groups = -(-min(groups, -(-(items - at) // per_group)) // local) * local
             started = time.perf_counter()
             self.device.launch(self._kernel, [*arguments, np.uint32(at)], groups, local)
