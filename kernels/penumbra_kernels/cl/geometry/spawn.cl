@@ -2,20 +2,21 @@
 // an epsilon (pbrt-v4, 6.8.6). Metres, world frame.
 #include "base/types.h"
 
-// The next float in the direction of `side`, one ulp beyond rounding.
-static inline float next_towards(const float x, const float side) {
-  if (side == 0.0f) return x;
-  if (x == 0.0f) return side > 0.0f ? as_float(1u) : as_float(0x80000001u);
-  const uint bits = as_uint(x);
-  return as_float((x > 0.0f) == (side > 0.0f) ? bits + 1u : bits - 1u);
+// The next floats in the directions of `side`, one ulp beyond rounding. Floats are mapped to integers in their order, which
+// has no branches: signs are as good as random.
+static inline float3 next_towards(const float3 x, const float3 side) {
+  const int3 bits = as_int3(x);
+  const int3 sign = bits >> 31;
+  const int3 order = (bits ^ (sign & 0x7fffffff)) - sign + ((side < 0.0f) - (side > 0.0f));
+  const int3 below = order >> 31;
+  return as_float3((order + below) ^ (below & 0x7fffffff));
 }
 
 // p, moved along +-n (the side that `towards` is on) out of the box of its error.
 static inline float3 offset_point(const float3 p, const float3 p_error, const float3 n, const float3 towards) {
   const float distance = dot3(abs3(n), p_error);
   const float3 offset = dot3(towards, n) < 0.0f ? -distance * n : distance * n;
-  const float3 moved = p + offset;
-  return (float3)(next_towards(moved.x, offset.x), next_towards(moved.y, offset.y), next_towards(moved.z, offset.z));
+  return next_towards(p + offset, offset);
 }
 
 static inline Ray spawn_ray(const Surface *surface, const float3 direction, const float time) {
