@@ -178,11 +178,23 @@ def _is_similarity(m: Affine) -> bool:
     return True
 
 
+def inline_triangles(scene: Scene) -> int:
+    """Triangles that the scene itself brings; those of assets come on top."""
+    return sum(len(s.indices or ()) for _, s in _each_shape(scene) if isinstance(s, Mesh))
+
+
+def too_many_triangles(count: int) -> SceneError | None:
+    """The error of a scene with so many triangles, if that is one."""
+    if count <= limits.MAX_TRIANGLES:
+        return None
+    accepted = f"at most {limits.MAX_TRIANGLES} in all; place copies as instances"
+    return SceneError("/shapes", "there are too many triangles", str(count), accepted)
+
+
 def _totals(scene: Scene) -> Iterator[SceneError]:
-    triangles = sum(len(s.indices or ()) for _, s in _each_shape(scene) if isinstance(s, Mesh))
-    if triangles > limits.MAX_TRIANGLES:
-        accepted = f"at most {limits.MAX_TRIANGLES} in all; place copies as instances"
-        yield SceneError("/shapes", "there are too many triangles", str(triangles), accepted)
+    crowded = too_many_triangles(inline_triangles(scene))
+    if crowded is not None:
+        yield crowded
     shapes = sum(1 for _ in _each_shape(scene))
     if shapes > limits.MAX_SHAPES:
         yield SceneError("/shapes", "there are too many shapes", str(shapes), f"at most {limits.MAX_SHAPES}")

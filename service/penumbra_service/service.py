@@ -94,6 +94,11 @@ class RenderService:
         self.runner.stop()
         self.database.close()
 
+    @property
+    def needs_key(self) -> bool:
+        """Whether callers must show a key: others can reach the service, or a key was ever made."""
+        return self.settings.public or self.keys.any_made()
+
     def submit(self, job: NewJob) -> tuple[JobRow, bool]:
         """The job and whether it is new. Raises store.jobs.IdempotencyConflictError."""
         row, created = self.jobs.create(job)

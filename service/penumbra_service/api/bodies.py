@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from fastapi import Request
 from penumbra_kernels.assets import AssetError
-from penumbra_scene.check import asset_refs
+from penumbra_scene.check import asset_refs, inline_triangles, too_many_triangles
 from penumbra_scene.errors import ProblemError, ProblemItem, invalid_document, shorten
 from penumbra_scene.job import JobRequest
 from penumbra_scene.parse import job_from_json, parse_json, scene_from_json
@@ -96,14 +96,20 @@ def check_assets(scene: Scene, assets: FolderAssets, base: str) -> None:
     """Decodes every asset that the scene names (or finds it decoded). Raises ProblemError (422)."""
     items = []
     known: dict[tuple[str, str | None], str | None] = {}
+    sizes: dict[str | None, int] = {}
+    triangles = inline_triangles(scene)
     for pointer, ref in asset_refs(scene):
         use = ("mesh" if pointer.endswith("/source") else "image", ref.asset)
         if use not in known:
             try:
-                (assets.mesh if use[0] == "mesh" else assets.image)(ref)
+                if use[0] == "mesh":
+                    sizes[ref.asset] = len(assets.mesh(ref).indices)
+                else:
+                    assets.image(ref)
                 known[use] = None
             except AssetError as error:
                 known[use] = str(error)
+        triangles += sizes.get(ref.asset, 0) if use[0] == "mesh" else 0
         message = known[use]
         if message is not None:
             accepted = "the sha256 of an asset that was uploaded to /v1/assets and can be read as " + use[0]
@@ -115,5 +121,11 @@ def check_assets(scene: Scene, assets: FolderAssets, base: str) -> None:
                     accepted=accepted,
                 )
             )
+    crowded = too_many_triangles(triangles)
+    if crowded is not None:
+        at = base + crowded.pointer
+        items.append(
+            ProblemItem(pointer=at, message=crowded.message, given=crowded.given, accepted=crowded.accepted)
+        )
     if items:
         raise ProblemError(invalid_document(items, "scene"))

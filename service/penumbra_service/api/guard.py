@@ -31,7 +31,7 @@ _SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 class Guard:
-    """ASGI middleware. Leaves the key in scope["state"]["api_key"]."""
+    """ASGI middleware. Leaves the key in scope["state"]["api_key"], and in "stranger" whether one is missing."""
 
     def __init__(self, app: ASGIApp, service: RenderService) -> None:
         self._app = app
@@ -50,16 +50,14 @@ class Guard:
         """The answer to someone who should have shown a key."""
         key = await self._key(headers)
         scope.setdefault("state", {})["api_key"] = key
-        if key is not None or _is_open(scope["path"]) or not await run_in_threadpool(self.needs_key):
+        stranger = key is None and await run_in_threadpool(lambda: self._service.needs_key)
+        scope["state"]["stranger"] = stranger
+        if not stranger or _is_open(scope["path"]):
             return None
         if scope["method"] == "GET" and "text/html" in headers.get("accept", ""):
             return RedirectResponse(LOGIN_PATH, 303)
         detail = "this service needs an API key: send the header 'Authorization: Bearer <key>'"
         return problem_response(plain_problem(401, detail), {"WWW-Authenticate": "Bearer"})
-
-    def needs_key(self) -> bool:
-        """Whether callers must show a key."""
-        return self._service.settings.public or self._service.keys.any_made()
 
     def _foreign(self, scope: Scope, headers: Headers) -> Response | None:
         """The answer to what came under another name, or from another site's page."""

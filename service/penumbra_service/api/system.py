@@ -71,8 +71,11 @@ def schema(name: str) -> JSONResponse:
 
 @router.get("/health")
 def health(request: Request) -> Health:
-    """Whether the service is well, in words."""
-    return _health(service_of(request))
+    """Whether the service is well, in words. Callers who should have shown a key learn no more than that."""
+    found = _health(service_of(request))
+    if getattr(request.state, "stranger", False):
+        return found.model_copy(update={"jobs": {}, "devices": {}, "detail": ()})
+    return found
 
 
 @router.get("/health/live")

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
+import pytest
 from fastapi.testclient import TestClient
+from penumbra_scene import limits
 from penumbra_scene.job import AssetInfo
 from penumbra_service.app import create_app
 from penumbra_service.settings import Settings
@@ -29,6 +31,20 @@ def test_an_uploaded_mesh_can_be_used(client: TestClient, scene: dict[str, Any])
     assert problem.status_code == 422
     assert problem.json()["errors"][0]["pointer"] == "/environment/image/asset"
     assert "accepted formats" in problem.json()["errors"][0]["message"]
+
+
+def test_triangles_of_assets_count_every_time_they_are_used(
+    client: TestClient, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client.post("/v1/assets", content=OBJ)
+    mesh = {"type": "mesh", "source": {"asset": NAME}}
+    monkeypatch.setattr(limits, "MAX_TRIANGLES", 4)
+    scene["shapes"] += [mesh, mesh]
+    assert client.post("/v1/validate", json=scene).status_code == 200
+    scene["shapes"].append(mesh)
+    error = client.post("/v1/validate", json={"scene": scene}).json()["errors"][0]
+    assert (error["pointer"], error["given"]) == ("/scene/shapes", "6")
+    assert "at most 4" in error["accepted"]
 
 
 def test_the_same_bytes_are_one_asset(client: TestClient) -> None:

@@ -55,6 +55,20 @@ def test_keys_guard_loopback_too_and_revoking_does_not_open_it(tmp_path: Path, r
         assert client.get("/v1/jobs", headers=headers).status_code == 401
 
 
+def test_strangers_learn_only_that_the_service_is_well(
+    tmp_path: Path, runner: Any, scene: dict[str, Any]
+) -> None:
+    token, _ = create_key("one", tmp_path)
+    runner.problem = "no device in /opt/secret"
+    headers = {"Authorization": f"Bearer {token}"}
+    with TestClient(create_app(Settings(data=tmp_path), runner), base_url=LOCAL) as client:
+        client.post("/v1/jobs", json=scene, headers=headers)
+        told = client.get("/health").json()
+        assert (told["status"], told["jobs"], told["devices"], told["detail"]) == ("degraded", {}, {}, [])
+        assert client.get("/health", headers=headers).json()["detail"] == [runner.problem]
+        assert sum(client.get("/health", headers=headers).json()["jobs"].values()) == 1
+
+
 def test_keys_are_stored_as_hashes_only(tmp_path: Path) -> None:
     token, key = create_key("one", tmp_path)
     assert len(token) > 40
