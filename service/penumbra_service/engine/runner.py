@@ -42,7 +42,7 @@ from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.predict import fit_theta
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.film.replicates import choose_layout
-from penumbra_service.film.stop import StopRule
+from penumbra_service.film.stop import MIN_CHECK_SAMPLES, StopRule
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.batches import Batches
 from penumbra_service.jobs.life import DeviceCrashed, Life, SceneReady, StopReached, WentWrong, step
@@ -305,9 +305,21 @@ class JobRunner:
             self._tell(force=True)
             if reason is not None:
                 return reason
+            self._demand_hope()
             self._foretell()
             self._save()
             self._canvas.proceed()
+
+    def _demand_hope(self) -> None:
+        """A target alone never ends a render of which no sample counts: its error stays unknown."""
+        rule, counts = self._rule, self._record.counts
+        if rule.relative_error is None or rule.samples is not None or rule.seconds is not None:
+            return
+        if counts is not None and counts.taken == 0 and counts.rejected >= MIN_CHECK_SAMPLES * counts.pixels:
+            what = f"all {counts.rejected} samples were NaN, infinite or negative"
+            raise RunFailedError(
+                "scene", f"{what}, so that no error can be estimated: are numbers too large?"
+            )
 
     def _open(self) -> None:
         """One more batch where the devices would run dry."""

@@ -1,7 +1,7 @@
 """A device process without OpenCL: its 'samples' are hashes of (seed, pixel, replicate, sample index).
 
-The scene's name says how it behaves: words among slow, crash-load, crash-trace, hang, bad-scene, bad-build,
-bad-device. The environment's FAKE_DEVICES names the devices (commas), FAKE_BROKEN those that cannot be
+The scene's name says how it behaves: words among slow, crash-load, crash-trace, hang, rejected, bad-scene,
+bad-build, bad-device. The environment's FAKE_DEVICES names the devices (commas), FAKE_BROKEN those that cannot be
 opened.
 """
 
@@ -70,6 +70,9 @@ class FakeScene:
             sums["rgba"][..., channel] = np.float32(weight) * value
         sums["rgba"][..., 3] = 1
         sums["taken"] = sums["lit"] = 1
+        if "rejected" in self.scene.name:
+            sums["rgba"] = sums["taken"] = sums["lit"] = 0
+            sums["rejected"] = 1
         return SumNode(tile, first, 1, sums)
 
 

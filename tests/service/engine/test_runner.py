@@ -280,3 +280,14 @@ def replace_scene(task, **update):  # type: ignore[no-untyped-def]
     import dataclasses
 
     return dataclasses.replace(task, scene=task.scene.model_copy(update=update))
+
+
+def test_a_target_that_no_sample_can_meet_fails_instead_of_going_on_for_ever(fake_engine, make_task):  # type: ignore[no-untyped-def]
+    engine = fake_engine()
+    result = JobRunner(engine, make_task(name="rejected", stop={"relative_error": 0.1})).run()
+    assert result.failure.kind == "scene"
+    assert "NaN, infinite or negative" in result.failure.message
+    limited = make_task(name="rejected", stop={"relative_error": 0.1, "samples": 64}, folder="limited")
+    result = JobRunner(engine, limited).run()
+    assert result.reason is StopReason.SAMPLES
+    assert result.record.counts.taken == 0
