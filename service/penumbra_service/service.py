@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from penumbra_scene.errors import Problem, make_problem
 from penumbra_scene.job import JobRequest, JobState, StopReason
-from penumbra_scene.parse import parse_job
+from penumbra_scene.parse import job_from_json, parse_json
 
 from penumbra_service import results
 from penumbra_service.images.assets import FolderAssets
@@ -154,7 +154,9 @@ class RenderService:
 
     def request(self, job_id: str) -> JobRequest:
         """What was asked for. Raises NoSuchJobError."""
-        return parse_job(self.jobs.request(job_id).encode())
+        text = self.jobs.request(job_id).encode()
+        # Its length was checked when it came; as it is kept, numbers may be longer (1e9 is 1000000000.0).
+        return job_from_json(parse_json(text, len(text)))
 
     def _changed(self, row: JobRow) -> None:
         with self._wake:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from penumbra_scene.job import JobPage, JobStatus, Validation
+from penumbra_scene.parse import parse_json
 from penumbra_service import service as service_module
 from penumbra_service.app import create_app
 
@@ -285,3 +286,21 @@ def test_a_job_that_the_service_failed_leaves_no_snapshots(
     job_id = client.post("/v1/jobs", json=scene).json()["id"]
     wait_for(job_id, "failed")
     until(lambda: not (settings.data / "work" / job_id).exists())
+
+
+def test_a_job_may_be_longer_as_it_is_kept_than_as_it_came(
+    client: TestClient,
+    scene: dict[str, Any],
+    runner: Any,
+    wait_for: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The limit on bodies is for what comes in: 1e9 is kept as 1000000000.0. Any other limit would be 10 bytes here."""
+    text = json.dumps(scene).replace('"radiance": 1', '"radiance": 1e9')
+    monkeypatch.setattr(parse_json, "__defaults__", (10,))
+    runner.let()
+    job = client.post("/v1/jobs", content=text, headers={"Content-Type": "application/json"}).json()
+    assert wait_for(job["id"], "done")["stop_reason"] == "samples"
+    assert (
+        client.get(f"/v1/jobs/{job['id']}/scene.json").json()["shapes"][0]["emission"]["radiance"][0] == 1e9
+    )
