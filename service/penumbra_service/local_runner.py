@@ -18,6 +18,7 @@ from penumbra_service.jobs.receipt import ReceiptContext
 from penumbra_service.results import Latest, write_pictures, write_results
 from penumbra_service.running import Halt as Ask
 from penumbra_service.running import Outcome, Task
+from penumbra_service.service import decode_limits
 from penumbra_service.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -38,6 +39,7 @@ class LocalRunner:
     def __init__(self, settings: Settings) -> None:
         ids = [part.strip() for part in settings.devices.split(",") if part.strip()]
         self._assets = settings.assets_folder
+        self._decode = decode_limits(settings)
         self._engine = LocalEngine(ids or None)
 
     def start(self) -> None:
@@ -70,6 +72,7 @@ class LocalRunner:
                 assets_folder=self._assets,
                 time=task.request.time,
                 priority=task.priority,
+                decode=self._decode,
             ),
             on_progress=self._reporter(task),
             on_preview=_shower(task, scene, latest),

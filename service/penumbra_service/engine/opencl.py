@@ -102,6 +102,5 @@ def assets_of(spec: RenderSpec) -> Assets:
     """The assets that a spec's scene may name."""
     if spec.assets_folder is None:
         return NoAssets()
-    return FolderAssets(
-        Path(spec.assets_folder), None if spec.scene_folder is None else Path(spec.scene_folder)
-    )
+    beside = None if spec.scene_folder is None else Path(spec.scene_folder)
+    return FolderAssets(Path(spec.assets_folder), beside, limits=spec.decode)

@@ -14,6 +14,7 @@ from typing import Protocol
 
 from penumbra_kernels.nodes import SumNode
 
+from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.planning import WorkItem
 
 
@@ -33,12 +34,15 @@ class RenderSpec:
     strata: int
     program: str = "specialised"
     """Or 'generic': every effect compiled in."""
+    decode: DecodeLimits = DEFAULTS
+    """On assets that have to be decoded anew."""
 
     @property
     def key(self) -> str:
-        """Names what is to be loaded, not where from."""
+        """Names what is to be loaded. Assets by content are the same in any folder; files beside a scene are not."""
         parts = asdict(self)
-        del parts["scene_path"]
+        for where in ("scene_path", "assets_folder", "decode"):
+            del parts[where]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 

@@ -158,6 +158,7 @@ class JobRunner:
             replicates=self._layout.replicates,
             strata=self._layout.strata,
             program=task.program,
+            decode=task.decode,
         )
 
     def _prepare(self) -> None:

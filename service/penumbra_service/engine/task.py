@@ -12,6 +12,7 @@ from penumbra_scene.scene import Scene
 
 from penumbra_service.film.develop import Developed, develop_bands
 from penumbra_service.film.film import MEMORY_LIMIT, Film
+from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.record import RunRecord
 
 
@@ -42,6 +43,8 @@ class RenderTask:
     priority: int = 0
     program: str = "specialised"
     memory_limit: int = MEMORY_LIMIT
+    decode: DecodeLimits = DEFAULTS
+    """On assets that have to be decoded anew."""
 
 
 @dataclass(frozen=True)

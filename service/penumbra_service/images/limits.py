@@ -4,6 +4,7 @@ limit."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from penumbra_scene import limits
 
@@ -22,3 +23,6 @@ class DecodeLimits:
     """Address space of the decoding process."""
     seconds: float = 120.0
     """Wall-clock time of the decoding process."""
+
+
+DEFAULTS: Final = DecodeLimits()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import os
 import signal
 import sys
@@ -19,6 +20,8 @@ from penumbra_scene.limits import MAX_ALBEDO_TABLES
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine, list_devices
 from penumbra_service.engine.runner import Halt, JobRunner, RenderTask, RunResult
+from penumbra_service.images.limits import DecodeLimits
+from penumbra_service.store.content import asset_file
 
 pytestmark = pytest.mark.skipif(not list_devices(), reason="no OpenCL device")
 
@@ -176,6 +179,24 @@ def test_a_scene_that_cannot_be_prepared_fails_at_once_with_the_reason(engine, t
     assert result.failure is not None
     assert result.failure.kind == "scene"
     assert "rough materials" in result.failure.message
+
+
+def test_a_device_decodes_assets_within_the_services_limits(engine, tmp_path):  # type: ignore[no-untyped-def]
+    data = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    digest = hashlib.sha256(data).hexdigest()
+    file = asset_file(tmp_path / "assets", digest)
+    file.parent.mkdir(parents=True)
+    file.write_bytes(data)
+    shapes = [{"type": "mesh", "source": {"asset": f"sha256:{digest}"}}]
+    task = dataclasses.replace(
+        _task(tmp_path / "job", shapes=shapes),
+        assets_folder=tmp_path / "assets",
+        decode=DecodeLimits(file_bytes=len(data) - 1),
+    )
+    failure = JobRunner(engine, task).run().failure
+    assert failure is not None
+    assert failure.kind == "scene"
+    assert f"at most {len(data) - 1} are accepted" in failure.message
 
 
 def test_a_missing_asset_fails_the_job_and_names_it(engine, tmp_path):  # type: ignore[no-untyped-def]
