@@ -13,6 +13,7 @@
 #define CTZ(x) ((uint)__builtin_ctz(x))
 #define CLZ(x) ((uint)__builtin_clz(x))      // of a uint that is not 0
 #define CLZ64(x) ((uint)__builtin_clzl(x))   // of a ulong that is not 0
+#define PREFETCH(p) __builtin_prefetch((const void *)(ulong)(p))  // of any address space
 #else
 #define SQRT(x) sqrt(x)
 #define FABS(x) fabs(x)
@@ -20,6 +21,7 @@
 #define CTZ(x) (31u - clz((x) & (0u - (x))))
 #define CLZ(x) ((uint)clz((uint)(x)))
 #define CLZ64(x) ((uint)clz((ulong)(x)))
+#define PREFETCH(p)
 #endif
 
 // Keeps a large function out of its callers, where a compiler would multiply it (PoCL makes three copies of every kernel).
