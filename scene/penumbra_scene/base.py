@@ -43,6 +43,8 @@ Float = Annotated[float, Field(strict=True, ge=-limits.MAX_MAGNITUDE, le=limits.
 """A finite number that float32 arithmetic can square."""
 Positive = Annotated[float, Field(strict=True, gt=0, le=limits.MAX_MAGNITUDE)]
 NonNegative = Annotated[float, Field(strict=True, ge=0, le=limits.MAX_MAGNITUDE)]
+Measured = Annotated[float, Field(strict=True, ge=0)]
+"""Any finite number from 0: what the service measures is squared radiance, and knows no limit of scenes."""
 Unit = Annotated[float, Field(strict=True, ge=0, le=1)]
 Integer = Annotated[int, NotBoolean]
 """A whole number; 3.0 is one as well."""

@@ -9,7 +9,7 @@ from typing import Annotated, Final
 
 from pydantic import Field, StringConstraints, model_validator
 
-from penumbra_scene.base import Float, Integer, Model, Name, NonNegative, NotBoolean, Positive, Unit, error_at
+from penumbra_scene.base import Float, Integer, Measured, Model, Name, NotBoolean, Positive, Unit, error_at
 from penumbra_scene.errors import Problem
 from penumbra_scene.film import Film
 from penumbra_scene.scene import Scene
@@ -94,8 +94,8 @@ class StopReason(StrEnum):
 class Interval(Model):
     """An interval that holds the true value with the stated confidence."""
 
-    low: NonNegative
-    high: NonNegative | None
+    low: Measured
+    high: Measured | None
     """Null: no upper bound is known."""
     confidence: Unit = 0.95
 
@@ -117,20 +117,20 @@ class Progress(Model):
 
     progress: Unit = 0.0
     """Share of the work that is done, towards whichever stop rule is nearest."""
-    samples_done: NonNegative = 0.0
+    samples_done: Measured = 0.0
     """Samples a pixel, on average."""
     samples_planned: Count | None = None
     """Samples a pixel at which the job stops; null: it stops by time or error."""
-    seconds: NonNegative = 0.0
+    seconds: Measured = 0.0
     """Of tracing."""
-    relmse: NonNegative | None = None
+    relmse: Measured | None = None
     """Pooled variance over pooled squared mean; null while it is unknown."""
-    relative_error: NonNegative | None = None
+    relative_error: Measured | None = None
     """sqrt(relmse)."""
     relative_error_interval: Interval | None = None
     theta: Float | None = None
     """Variance falls as samples^-theta; null while there are too few samples to tell."""
-    predicted_seconds: NonNegative | None = None
+    predicted_seconds: Measured | None = None
     """Of tracing, still to go until the job stops; null where it cannot be told."""
     thumbnail_revision: Count = 0
     """Rises with every new picture; 0: there is none yet."""
@@ -139,12 +139,12 @@ class Progress(Model):
 class ErrorPoint(Model):
     """The error when so much had been spent."""
 
-    samples: NonNegative
+    samples: Measured
     """A pixel, on average."""
-    seconds: NonNegative
+    seconds: Measured
     """Of tracing."""
-    relmse: NonNegative | None
-    relative_error: NonNegative | None
+    relmse: Measured | None
+    relative_error: Measured | None
     relative_error_interval: Interval | None = None
 
 
@@ -220,7 +220,7 @@ class DeviceStatus(Model):
     job: JobId | None = None
     leases_done: Count = 0
     crashes: Count = 0
-    samples_per_second: NonNegative | None = None
+    samples_per_second: Measured | None = None
     """Pixel samples, over the last leases."""
 
 
@@ -252,7 +252,7 @@ class Health(Model):
     status: Annotated[str, StringConstraints(pattern=r"^(ok|degraded)$")]
     """degraded: it answers, but something is missing; `detail` says what."""
     version: str
-    uptime_seconds: NonNegative
+    uptime_seconds: Measured
     jobs: dict[str, int] = Field(default_factory=dict)
     """How many there are in each state."""
     devices: dict[str, int] = Field(default_factory=dict)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from penumbra_scene.base import Bool, Float, Integer, Model, NonNegative, NotBoolean, Unit
+from penumbra_scene.base import Bool, Float, Integer, Measured, Model, NotBoolean, Unit
 from penumbra_scene.film import Crop, Filter
 from penumbra_scene.job import Count, ErrorPoint, Interval, JobId, StopReason
 from penumbra_scene.settings import Stop
@@ -16,7 +16,7 @@ from penumbra_scene.settings import Stop
 class StageTime(Model):
     """Seconds of one stage of a job."""
 
-    seconds: NonNegative
+    seconds: Measured
     warm: Bool | None = None
     """True: a cache or a running process answered; false: from scratch; null: there is no such choice."""
 
@@ -32,7 +32,7 @@ class Stages(Model):
     trace: StageTime
     write: StageTime
     """EXR, thumbnail, heat map."""
-    wall_seconds: NonNegative
+    wall_seconds: Measured
     """From submission to the last file."""
 
 
@@ -50,11 +50,11 @@ class ReceiptFilm(Model):
 class ReceiptError(Model):
     """How wrong the picture is, as estimated from itself."""
 
-    relmse: NonNegative | None = None
+    relmse: Measured | None = None
     """Null: the sampler gives no variance."""
-    relative_error: NonNegative | None = None
+    relative_error: Measured | None = None
     relative_error_interval: Interval | None = None
-    mse: NonNegative | None = None
+    mse: Measured | None = None
     """Mean over pixels and channels of the variance of the pixel's mean, (W / (m^2 sr))^2."""
     theta: Float | None = None
     """Fitted exponent: variance falls as samples^-theta."""
@@ -68,12 +68,12 @@ class ReceiptError(Model):
 class Forecast(Model):
     """What was predicted, and when, beside what was needed. Null: nothing was predicted."""
 
-    at_samples: NonNegative | None = None
+    at_samples: Measured | None = None
     """Samples a pixel at which the prediction was made."""
-    predicted_samples: NonNegative | None = None
-    predicted_seconds: NonNegative | None = None
-    real_samples: NonNegative
-    real_seconds: NonNegative
+    predicted_samples: Measured | None = None
+    predicted_seconds: Measured | None = None
+    real_samples: Measured
+    real_seconds: Measured
 
 
 class Counts(Model):
@@ -113,7 +113,7 @@ class ReceiptDevice(Model):
     driver: str
     bit_class: str
     leases: Count = 0
-    seconds: NonNegative = 0.0
+    seconds: Measured = 0.0
 
 
 class PlanStep(Model):
@@ -149,7 +149,7 @@ class Receipt(Model):
     seed: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")]
     """As a string: JSON numbers lose bits beyond 2^53."""
     replicates: Integer
-    samples: NonNegative
+    samples: Measured
     """A pixel, on average, all replicates together."""
     stop: Stop
     """The rule that was asked for."""

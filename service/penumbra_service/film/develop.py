@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.film import Film
-from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel_statistics
+from penumbra_service.film.statistics import LARGEST, PixelStatistics, pixel_flags, pixel_statistics
 
 RGBA: Final = ("R", "G", "B", "A")
 LAYER_CHANNELS: Final[dict[str, tuple[str, ...]]] = {
@@ -87,7 +87,9 @@ def develop_tile(film: Film, tile: Tile, end: int, layers: tuple[str, ...] = ())
 
 def _picture(pixels: PixelStatistics) -> dict[str, NDArray[np.float32]]:
     floats = {c: pixels.mean[..., i].astype(np.float32) for i, c in enumerate(RGBA)}
-    floats |= {f"Variance.{c}": pixels.variance[..., i].astype(np.float32) for i, c in enumerate(RGBA)}
+    # Squared radiance can pass float32's range: its largest number then stands there, never infinity.
+    variance = np.minimum(pixels.variance, LARGEST)
+    floats |= {f"Variance.{c}": variance[..., i].astype(np.float32) for i, c in enumerate(RGBA)}
     # The root of the float64 variance: a variance below float32's range may have a standard error within it.
     floats |= {f"StdErr.{c}": np.sqrt(pixels.variance[..., i]).astype(np.float32) for i, c in enumerate(RGBA)}
     return floats

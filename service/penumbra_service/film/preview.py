@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.grid import POOL_BLOCK, block_starts
-from penumbra_service.film.statistics import PixelStatistics
+from penumbra_service.film.statistics import LARGEST, PixelStatistics
 
 MAX_SIDE: Final = 1024
 """Of a preview, in its own pixels, where the window allows (squares are at most POOL_BLOCK wide)."""
@@ -57,7 +57,8 @@ class Preview:
         self._rgba[at] = self._pool(pixels.mean, tile) / count
         # Pixels are independent, so the variance of their average is the sum of theirs over the square of
         # their number.
-        self._variance[at] = self._pool(pixels.variance[..., :3], tile) / count**2
+        variance = self._pool(pixels.variance[..., :3], tile) / count**2
+        self._variance[at] = np.minimum(variance, LARGEST)
         self.changed = True
 
     def image(self) -> PreviewImage:

@@ -34,6 +34,9 @@ ROUNDING: Final = 2.0**-20
 """Replicates that differ by less than this fraction of the mean differ by rounding alone: a pairwise float32
 sum of 2^8 samples errs by up to 8 * 2^-24 = 2^-21 of the sum of magnitudes, and two of them are compared."""
 
+LARGEST: Final = float(np.finfo(np.float32).max)
+"""What stands for a mean whose float32 sum has overflowed."""
+
 
 @dataclass(frozen=True)
 class PixelStatistics:
@@ -66,10 +69,14 @@ def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = Fa
     counts = there.sum(axis=0)
     means = sums["rgba"] / np.maximum(taken, 1).astype(np.float64)[..., None]
     mean = means.sum(axis=0) / np.maximum(counts, 1)[..., None]
-    deviations = np.subtract(means, mean, out=means)
+    overflowed = _cap(mean)
+    with np.errstate(invalid="ignore"):  # inf - inf; such pixels are settled below
+        deviations = np.subtract(means, mean, out=means)
     if not there.all():
         deviations[~there] = 0.0
+    deviations[:, overflowed] = 0.0
     variance = _variance(deviations, counts, deterministic)
+    variance[overflowed] = np.nan
     share, calm = _largest_share(deviations, mean)
     return PixelStatistics(
         tile,
@@ -83,6 +90,14 @@ def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = Fa
         share,
         calm,
     )
+
+
+def _cap(mean: NDArray[Any]) -> NDArray[np.bool_]:
+    """Replaces means that are beyond float32, in place; (height, width): which pixels had any. Samples are
+    finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes, NaN)."""
+    overflowed: NDArray[np.bool_] = ~np.isfinite(mean).all(axis=-1)
+    mean[overflowed] = np.nan_to_num(mean[overflowed], nan=LARGEST, posinf=LARGEST, neginf=-LARGEST)
+    return overflowed
 
 
 def _variance(deviations: NDArray[Any], counts: NDArray[Any], deterministic: bool) -> NDArray[np.float64]:
@@ -136,7 +151,7 @@ def pixel_flags(pixels: PixelStatistics, *, deterministic: bool = False) -> NDAr
     if deterministic:
         bits |= np.uint32(flags.DETERMINISTIC)
         return bits
-    bits[pixels.replicates < 2] |= flags.NO_VARIANCE
+    bits[np.isnan(pixels.variance[..., 0])] |= flags.NO_VARIANCE
     bits[_heavy_tailed(pixels)] |= flags.HEAVY_TAILED
     few = (pixels.lit > 0) & (pixels.lit < FEW_LIT_SAMPLES) & (2 * pixels.lit < pixels.taken)
     bits[few] |= flags.FEW_LIT

@@ -225,3 +225,22 @@ def test_a_black_picture_has_no_error():
     pixels = _stats(_sums(np.zeros((R, 32, 32))))
     error = image_error([summarize(pixels, pixel_flags(pixels))])
     assert (error.relmse, error.deviation, error.mse) == (0.0, 0.0, 0.0)
+
+
+def test_sums_beyond_float32_leave_a_finite_mean_without_a_variance():
+    values = np.ones((R, 1, 2))
+    values[3, 0, 1] = np.inf
+    pixels = _stats(_sums(values))
+    assert pixels.mean[0, 1, :3].tolist() == [float(np.finfo(np.float32).max)] * 3
+    assert np.isnan(pixels.variance[0, 1]).all()
+    assert pixel_flags(pixels)[0, 1] & flags.NO_VARIANCE
+    assert pixels.variance[0, 0].tolist() == [0.0] * 4  # its neighbour is not touched
+    assert image_error([summarize(pixels, pixel_flags(pixels))]).relmse == 0.0
+
+
+def test_variance_of_the_brightest_radiance_is_finite():
+    values = np.linspace(1.0, 3e38, R).reshape(R, 1, 1)
+    pixels = _stats(_sums(values))
+    assert pixels.variance[0, 0, 0] == pytest.approx(values.var(ddof=1) / R, rel=1e-6)  # float32 sums
+    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    assert error.relmse == pytest.approx(float(values.var(ddof=1) / R / values.mean() ** 2), rel=1e-6)

@@ -105,3 +105,11 @@ def test_a_record_survives_its_json():
     assert RunRecord.from_json(json.loads(json.dumps(record.to_json()))) == record
     with pytest.raises(ValueError, match="unknown"):
         RunRecord.from_json({**record.to_json(), "nonsense": 1})
+
+
+def test_an_error_far_beyond_a_scenes_numbers_is_told(scene):  # type: ignore[no-untyped-def]
+    """Radiance may be 1e18, and its variance is squared radiance."""
+    record = _record(points=[Point(64, 1.0, 1e30, 1e30, 0.0, 1e76)])
+    error = build_receipt(scene, record, StopReason.SAMPLES, CONTEXT).error
+    assert (error.mse, error.relmse, error.relative_error) == (1e76, 1e30, 1e15)
+    assert error.curve[0].relmse == 1e30
