@@ -11,7 +11,7 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
-from penumbra_service.api import assets, events, jobs, openapi, problems, reference, results, system
+from penumbra_service.api import assets, events, jobs, openapi, problems, results, system
 from penumbra_service.api.guard import Guard
 from penumbra_service.api.limits import LimitBodies
 from penumbra_service.api.metrics import CountRequests, Metrics
@@ -48,14 +48,14 @@ def create_app(settings: Settings, runner: Runner | None = None) -> FastAPI:
         description=_DESCRIPTION,
         lifespan=_lifespan,
         redirect_slashes=False,
-        docs_url=None,  # its page loads scripts from elsewhere; api/reference.py works offline
+        docs_url=None,  # its page loads scripts from elsewhere; the pages' own /docs works offline
         redoc_url=None,
     )
     app.state.service = service
     app.state.metrics = Metrics(service)
     problems.install(app)
     openapi.install(app)
-    for module in (jobs, results, events, assets, system, reference):
+    for module in (jobs, results, events, assets, system):
         app.include_router(module.router)
     _add_pages(app)
     app.add_middleware(LimitBodies, settings=settings)

@@ -49,6 +49,47 @@ def test_a_job_that_someone_else_submits_appears_by_itself(served: Any, page: An
     expect(page.locator(".card strong")).to_have_text("two balls")
 
 
+def test_the_job_that_is_worked_on_is_first_however_many_wait(served: Any, page: Any, scene: Scene) -> None:
+    first = submit(served, scene, name="at work")
+    until(page, lambda: state_of(served, first) == "rendering", "the first job is worked on")
+    others = [submit(served, scene, name=f"in the queue {i}") for i in range(26)]
+    page.goto(f"{served.url}/jobs")
+    expect(page.locator(".card")).to_have_count(25)
+    expect(page.locator(".card").first).to_have_attribute("id", f"job-{first}")
+    expect(page.locator(".card").nth(1)).to_have_attribute("id", f"job-{others[-1]}")
+    page.get_by_role("link", name="Older jobs").click()
+    expect(page.locator(".card")).to_have_count(2)
+    expect(page.locator(".card").last).to_have_attribute("id", f"job-{others[0]}")
+
+
+def test_a_job_moves_to_the_front_as_it_starts(served: Any, page: Any, scene: Scene) -> None:
+    first = submit(served, scene)
+    second = submit(served, scene)
+    third = submit(served, scene)
+    page.goto(f"{served.url}/jobs")
+    expect(page.locator(".card").first).to_have_attribute("id", f"job-{first}")
+    until(page, lambda: streams(served) == 1, "a stream of events is open")
+    served.runner.let()
+    expect(page.locator(".card").first).to_have_attribute("id", f"job-{second}")
+    expect(page.locator(".card").nth(1)).to_have_attribute("id", f"job-{third}")
+
+
+def state_of(served: Any, job: str) -> str:
+    return str(httpx.get(f"{served.url}/v1/jobs/{job}").json()["state"])
+
+
+@pytest.mark.parametrize("state", ["queued", "rendering"])
+def test_states_have_the_names_that_the_api_gives_them(
+    served: Any, page: Any, scene: Scene, state: str
+) -> None:
+    jobs = [submit(served, scene), submit(served, scene)]
+    until(page, lambda: state_of(served, jobs[0]) == "rendering", "the first job is worked on")
+    page.goto(f"{served.url}/jobs")
+    page.get_by_role("link", name=f"{state} 1").click()
+    expect(page).to_have_url(f"{served.url}/jobs?state={state}")
+    expect(page.locator(".card .state")).to_have_text(state)
+
+
 def test_a_card_shows_picture_state_and_progress_as_they_change(served: Any, page: Any, scene: Scene) -> None:
     job = submit(served, scene)
     page.goto(f"{served.url}/jobs")
@@ -74,6 +115,8 @@ def test_the_picture_of_a_job_gets_better_while_one_looks(served: Any, page: Any
             expect(picture).to_have_attribute("src", f"/v1/jobs/{job}/{kind}.png?r={step}")
             assert picture.evaluate("img => img.complete && img.naturalWidth") == 160
     expect(page.locator(".facts")).to_contain_text("5.7 %")
+    expect(page.locator(".facts sup")).to_have_text("\u22121.00")
+    expect(page.locator('nav a[aria-current="true"]')).to_have_text("Jobs")
     expect(page.locator("svg.plot")).to_have_count(2)
     expect(page.locator("svg.plot circle")).to_have_count(6)
     expect(page.locator("svg.plot .forecast")).to_have_count(2)
@@ -243,7 +286,7 @@ def test_nothing_sticks_out_and_text_has_contrast(
     until_done(served, job)
     context = browser.new_context(color_scheme=scheme, viewport=size)
     page = context.new_page()
-    for path in ("/jobs", f"/jobs/{job}", "/submit", "/devices", "/login"):
+    for path in ("/jobs", f"/jobs/{job}", "/submit", "/devices", "/docs", "/login"):
         page.goto(served.url + path)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
         for selector in ("h1", "nav a", ".button", ".facts dd", ".facts dt", ".state", "button.primary"):
@@ -272,9 +315,10 @@ CONTRAST = """selector => {
 }"""
 
 
-def test_a_guarded_service_asks_for_a_key_and_takes_it(served: Any, page: Any) -> None:
+@pytest.mark.parametrize("path", ["/", "/jobs", "/docs"])
+def test_a_guarded_service_asks_for_a_key_and_takes_it(served: Any, page: Any, path: str) -> None:
     key = served.service.keys.create("test")[0]
-    page.goto(f"{served.url}/jobs")
+    page.goto(f"{served.url}{path}")
     expect(page.get_by_role("heading", name="Log in")).to_be_visible()
     page.locator("#key").fill("wrong")
     page.get_by_role("button", name="Log in").click()
@@ -292,7 +336,18 @@ def test_devices_are_listed(served: Any, page: Any) -> None:
     expect(page.locator("tbody")).to_contain_text("A device of this test")
 
 
-@pytest.mark.parametrize("path", ["/jobs", "/submit", "/devices", "/login", "/jobs/none"])
+def test_the_api_is_described_without_raw_markup_and_leads_back(served: Any, page: Any) -> None:
+    page.goto(f"{served.url}/jobs")
+    page.get_by_role("link", name="API").click()
+    expect(page.get_by_role("heading", name="POST /v1/jobs", exact=True)).to_be_visible()
+    assert "`" not in page.locator("main").inner_text()
+    page.locator("summary").first.click()
+    expect(page.locator("details pre").first).to_contain_text('"camera"')
+    page.get_by_role("link", name="Jobs", exact=True).click()
+    expect(page.get_by_role("heading", name="Jobs")).to_be_visible()
+
+
+@pytest.mark.parametrize("path", ["/jobs", "/submit", "/devices", "/docs", "/login", "/jobs/none"])
 def test_nothing_comes_from_another_host(served: Any, page: Any, path: str) -> None:
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))

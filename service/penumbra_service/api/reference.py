@@ -1,47 +1,24 @@
-"""The page /docs: every route with its parameters, answers and an example, from the OpenAPI document.
-Works offline."""
+"""What the page /docs shows: every route with its parameters, answers and an example, from the OpenAPI document."""
 
 from __future__ import annotations
 
 import json
+import re
 from typing import Any, Final
 
-from fastapi import APIRouter, Request
-from fastapi.responses import HTMLResponse
-from jinja2 import Environment
+from markupsafe import Markup, escape
 
-router = APIRouter(include_in_schema=False)
-
-_TEMPLATE: Final = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string("""\
-<!doctype html> <html lang="en"> <meta charset="utf-8"> <meta name="viewport"
-content="width=device-width"> <title>{{ info.title }} {{ info.version }}: REST API</title> <style> body {
-font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222;
-background: #fff } @media (prefers-color-scheme: dark) { body { color: #ddd; background: #181818 } a {
-color: #8cf } } code, pre { font: 14px/1.4 ui-monospace, monospace } pre { overflow: auto; padding: .7rem;
-border: 1px solid #8886; border-radius: 4px } h2 { margin-top: 2.5rem; text-transform: capitalize } h3 {
-margin: 1.8rem 0 .3rem } table { border-collapse: collapse } td, th { padding: .1rem 1rem .1rem 0;
-text-align: left; vertical-align: top } </style> <h1>{{ info.title }} {{ info.version }}</h1> <p>{{
-info.description }}</p> <p>For programs: <a href="/openapi.json">OpenAPI</a>, JSON Schema of {% for name
-in ("scene", "job", "receipt") %}<a href="/v1/schema/{{ name }}">{{ name }}</a>{{ ", " if not loop.last }}
-{% endfor %}. With an API key, send the header <code>Authorization: Bearer &lt;key&gt;</code>.</p> {% for
-tag, routes in groups.items() %} <h2 id="{{ tag }}">{{ tag }}</h2> {% for route in routes %} <h3 id="{{
-route.id }}"><code>{{ route.method }} {{ route.path }}</code></h3> <p>{{ route.description }}</p> {% if
-route.parameters %} <table><tr><th>parameter<th>in<th>meaning</tr> {% for p in route.parameters
-%}<tr><td><code>{{ p.name }}</code>{{ " (required)" if p.required }}<td>{{ p.in }} <td>{{ p.description or
-p.schema.description }}{% endfor %}</table> {% endif %} {% for name, example in route.examples %}
-<details><summary>Example: {{ name }}</summary><pre>{{ example }}</pre></details> {% endfor %} <p>Answers:
-{% for code, words in route.answers %}{{ code }} ({{ words }}){{ ", " if not loop.last }}{% endfor %}</p>
-{% endfor %}{% endfor %} """)
+_CODE: Final = re.compile("`([^`]+)`")
+"""Descriptions are Markdown, of which they use this much."""
 
 
-@router.get("/docs")
-def reference(request: Request) -> HTMLResponse:
-    """The REST API, for people."""
-    schema = request.app.openapi()
-    return HTMLResponse(_TEMPLATE.render(info=schema["info"], groups=_groups(schema)))
+def in_html(text: str) -> Markup:
+    """A description: what stands in backticks becomes code, all else is escaped."""
+    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
 
 
-def _groups(schema: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+def routes_by_tag(schema: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Each tag's routes, in the document's order."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for path, methods in schema["paths"].items():
         for method, route in methods.items():

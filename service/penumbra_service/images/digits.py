@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 WIDTH: Final = 4
 """Of a letter and the gap after it."""
+MARGIN: Final = 4
+"""Columns that stay free at the edges, which a frame's round corners may hide."""
 _ROWS: Final = {
     "0": ("###", "# #", "# #", "# #", "###"),
     "1": (" # ", "## ", " # ", " # ", "###"),
@@ -26,9 +28,9 @@ _ROWS: Final = {
 
 
 def draw_text(pixels: NDArray[np.uint8], text: str, center: int, top: int) -> None:
-    """Draws in white around column `center`, moved so that it stays inside."""
+    """Draws in white around column `center`, moved so that it stays MARGIN inside."""
     width = len(text) * WIDTH - 1
-    left = max(0, min(center - width // 2, pixels.shape[1] - width))
+    left = max(MARGIN, min(center - width // 2, pixels.shape[1] - width - MARGIN))
     for i, letter in enumerate(text):
         for y, row in enumerate(_ROWS[letter]):
             for x, mark in enumerate(row):

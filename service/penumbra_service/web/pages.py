@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
+from markupsafe import Markup
 from penumbra_scene.job import ErrorPoint, JobState, JobStatus
 from penumbra_scene.receipt import Receipt
 from pydantic import ValidationError
@@ -57,7 +58,7 @@ def view_of(row: JobRow, *, curve: bool = False) -> JobView:
     status = job_status(row, curve=curve)
     return JobView(
         status=status,
-        state=words.STATES[status.state],
+        state=status.state.value,
         ended=status.state.ended,
         percent=round(100 * status.progress),
         facts=_facts(status),
@@ -92,7 +93,7 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
     if not status.state.ended:
         facts.append(("Still to go", words.duration(status.predicted_seconds)))
     if status.theta is not None:
-        facts.append(("Variance falls as", f"samples^−{status.theta:.2f}"))
+        facts.append(("Variance falls as", _power(status.theta)))
     facts += [
         ("Picture", f"{status.width} × {status.height}"),
         ("Sampler", status.sampler),
@@ -101,6 +102,12 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
     if status.stop_reason is not None and status.stop_reason in words.REASONS:
         facts.append(("Ended because", words.REASONS[status.stop_reason]))
     return tuple(facts)
+
+
+def _power(theta: float) -> Markup:
+    """Samples to the power of -theta."""
+    exponent = f"{-theta:.2f}".replace("-", "\u2212")
+    return Markup("samples<sup>{}</sup>").format(exponent)
 
 
 def error_in_words(status: JobStatus) -> str:

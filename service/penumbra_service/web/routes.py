@@ -1,4 +1,4 @@
-"""The web pages: jobs, one job, submit, devices, log in. Plain HTML that scripts only make livelier.
+"""The web pages: jobs, one job, submit, devices, the API, log in. Plain HTML that scripts only make livelier.
 
 Pages read through the service object that the API uses. No page needs a script to be read, or anything from
 another host: the content security policy forbids both inline scripts and foreign ones.
@@ -23,6 +23,7 @@ from starlette.datastructures import UploadFile
 
 from penumbra_service.api.bodies import Submission, parse_submission
 from penumbra_service.api.guard import COOKIE, LOGIN_PATH
+from penumbra_service.api.reference import in_html, routes_by_tag
 from penumbra_service.service import ConflictError, RenderService, new_job
 from penumbra_service.store.ids import is_id
 from penumbra_service.store.jobs import JobRow, NoSuchJobError
@@ -34,6 +35,8 @@ HERE: Final = Path(__file__).parent
 STATIC: Final = HERE / "static"
 COOKIE_SECONDS: Final = 30 * 24 * 3600
 ACTIONS: Final = ("cancel", "pause", "resume")
+_AT_WORK: Final = (JobState.RENDERING, JobState.COMPILING, JobState.FINISHING)
+_OTHERS: Final = tuple(state for state in JobState if state not in _AT_WORK)
 _FORM_SLACK: Final = 4096
 """Bytes of a form besides its document."""
 
@@ -50,6 +53,7 @@ HEADERS: Final = {
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 _templates: Final = Jinja2Templates(directory=HERE / "templates")
 _templates.env.globals["words"] = words
+_templates.env.filters["in_html"] = in_html
 _templates.env.trim_blocks = True
 _templates.env.lstrip_blocks = True
 
@@ -110,22 +114,23 @@ def jobs(
     state: Annotated[JobState | None, Query()] = None,
     before: Annotated[str | None, Query(max_length=64)] = None,
 ) -> Response:
-    """All jobs, newest first; with `before`, those that are older than that one."""
+    """Jobs that are worked on, then all others, newest first; with `before`, others older than that one."""
     return _page(request, "jobs.html", **_list(request, state, before))
 
 
 @router.get("/jobs/cards")
 def cards(request: Request, state: Annotated[JobState | None, Query()] = None) -> Response:
-    """The newest jobs, without the page around them."""
+    """The first page's jobs, without the page around them."""
     return _page(request, "_cards.html", **_list(request, state, None))
 
 
 def _list(request: Request, state: JobState | None, before: str | None) -> dict[str, Any]:
     service = _service(request)
     before = before if before is not None and is_id(before) else None
-    rows = service.jobs.page([state] if state is not None else (), before, PAGE_LENGTH + 1)
+    rows = service.jobs.page(_OTHERS if state is None else [state], before, PAGE_LENGTH + 1)
+    at_work = service.jobs.waiting(_AT_WORK) if state is None and before is None else []
     return {
-        "jobs": [view_of(row) for row in rows[:PAGE_LENGTH]],
+        "jobs": [view_of(row) for row in (*at_work, *rows[:PAGE_LENGTH])],
         "older": rows[PAGE_LENGTH - 1].id if len(rows) > PAGE_LENGTH else None,
         "before": before,
         "chosen": state,
@@ -222,6 +227,13 @@ def _checked(request: Request, body: bytes, sent: Submission) -> Response:
 def devices(request: Request) -> Response:
     """The OpenCL devices that render."""
     return _page(request, "devices.html", devices=_service(request).runner.devices())
+
+
+@router.get("/docs")
+def api_reference(request: Request) -> Response:
+    """Every route with its parameters, answers and an example, from the OpenAPI document."""
+    schema = request.app.openapi()
+    return _page(request, "docs.html", info=schema["info"], groups=routes_by_tag(schema))
 
 
 @router.get(LOGIN_PATH)

@@ -7,16 +7,8 @@ from typing import Final
 
 from penumbra_scene.job import JobState, StopReason
 
-STATES: Final = {
-    JobState.QUEUED: "waiting",
-    JobState.COMPILING: "getting ready",
-    JobState.RENDERING: "rendering",
-    JobState.PAUSED: "paused",
-    JobState.FINISHING: "writing files",
-    JobState.DONE: "done",
-    JobState.FAILED: "failed",
-    JobState.CANCELLED: "cancelled",
-}
+STATES: Final = tuple(JobState)
+"""The pages call a state what the API and the command line call it."""
 
 REASONS: Final = {
     StopReason.SAMPLES: "all its samples were taken",
@@ -57,12 +49,12 @@ def duration(seconds: float | None) -> str:
 
 
 def count(number: float | None) -> str:
-    """1234567 -> '1 234 567', with thin spaces; fractions of small numbers are kept."""
+    """1234567 -> '1 234 567', with narrow spaces that do not break; fractions of small numbers are kept."""
     if number is None:
         return UNKNOWN
     if number != int(number) and number < 100:
         return f"{number:.3g}"
-    return f"{number:,.0f}".replace(",", "\u2009")
+    return f"{number:,.0f}".replace(",", "\u202f")
 
 
 def size(number: int) -> str:

@@ -170,7 +170,7 @@ def test_durations(seconds: float | None, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "text"), [(None, "–"), (0, "0"), (88.25, "88.2"), (1234567, "1\u2009234\u2009567")]
+    ("number", "text"), [(None, "–"), (0, "0"), (88.25, "88.2"), (1234567, "1\u202f234\u202f567")]
 )
 def test_counts(number: float | None, text: str) -> None:
     assert words.count(number) == text

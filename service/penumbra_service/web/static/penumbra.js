@@ -37,7 +37,9 @@
     const job = JSON.parse(message.data);
     const live = document.querySelectorAll(`[data-live="${CSS.escape(job.id)}"]`);
     const list = document.getElementById("cards");
-    if (live.length === 0 && list) refresh(list); // a job that this page does not show yet
+    const card = document.getElementById(`job-${job.id}`);
+    // a job that this list does not show yet, or whose new state gives it another place there
+    if (list && card?.dataset.state !== job.state) refresh(list);
     live.forEach(refresh);
     document.querySelectorAll(`[data-picture="${CSS.escape(job.id)}"]`).forEach((frame) => {
       if (job.thumbnail_revision) showPicture(frame, job.thumbnail_revision);
