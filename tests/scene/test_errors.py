@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 from penumbra_scene.errors import Problem, ProblemError, pointer
 from penumbra_scene.parse import job_from_json, parse_scene, scene_from_json
 
-MISSING = object()
+
+class _Missing:
+    """Stands for a key that is taken away; its name is the same in every process."""
+
+    def __repr__(self) -> str:
+        return "missing"
+
+
+MISSING = _Missing()
 FLAT = [[0, 0, 0, 0]] * 3 + [[0, 0, 0, 1]]
 
 

@@ -36,18 +36,20 @@ class Picture:
 
 
 def picture_of(node: SumNode) -> Picture:
+    """Means and variances over replicates; replicates of a pixel that got no sample are left out."""
     taken = node.sums["taken"].astype(np.float64)[..., None]
-    rgba = node.sums["rgba"].astype(np.float64) / np.maximum(taken, 1)
-    r = rgba.shape[0]
-    mean = rgba.mean(axis=0)
-    variance = ((rgba - mean) ** 2).sum(axis=0) / (r * (r - 1)) if r > 1 else np.full_like(mean, np.nan)
+    rgba = np.where(taken > 0, node.sums["rgba"].astype(np.float64) / np.maximum(taken, 1), 0)
+    r = (taken > 0).sum(axis=0)
+    mean = rgba.sum(axis=0) / np.maximum(r, 1)
+    spread = np.where(taken > 0, (rgba - mean) ** 2, 0).sum(axis=0)
+    variance = np.where(r > 1, spread / np.maximum(r * (r - 1), 1), np.nan)
     return Picture(mean[..., :3], variance[..., :3], mean[..., 3], node)
 
 
 Render = Callable[..., Picture]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def render(device: Device) -> Render:
     """render(scene, samples=64, replicates=8, program='generic', tile=None, assets=None) -> Picture."""
 
