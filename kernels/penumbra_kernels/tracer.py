@@ -127,7 +127,9 @@ class Tracer:
         params["tile_x"], params["tile_y"] = tile.x, tile.y
         params["tile_width"], params["tile_height"] = tile.width, tile.height
         params["first_sample"], params["sample_count"] = first_sample, sample_count
-        params["items_per_group"] = max(GROUP_SAMPLES // sample_count, 1) if self.device.info.kind == "cpu" else 1
+        params["items_per_group"] = (
+            max(GROUP_SAMPLES // sample_count, 1) if self.device.info.kind == "cpu" else 1
+        )
         params["item_count"] = items
         sums = np.empty(shape, SUM)
         layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
@@ -138,7 +140,9 @@ class Tracer:
             buffers["layers"] = self.device.allocate(layers.nbytes)
         if self.flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]:
             buffers["counts"] = self.device.upload(self._counts(tile, first_sample, sample_count))
-        arguments = [buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"]
+        arguments = [
+            buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"
+        ]
         self._run(arguments, items, int(params["items_per_group"]), sample_count)
         self.device.download(buffers["sums"], sums)
         if layers is not None:
