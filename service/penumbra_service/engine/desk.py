@@ -102,13 +102,6 @@ class LeaseDesk:
         with self._lock:
             return self._planner.out_samples
 
-    @property
-    def rate(self) -> float | None:
-        """Samples a second, all pixels and replicates together, of all devices; None before the first
-        answer."""
-        with self._lock:
-            return self._planner.rate
-
 
 def _deadline(expected: float | None) -> float:
     return UNKNOWN_DEADLINE if expected is None else max(MIN_DEADLINE, DEADLINE_FACTOR * expected)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import json
 import logging
+import math
 import subprocess
 import sys
 import threading
@@ -44,8 +45,8 @@ LIST_SECONDS: Final = 120.0
 TICK_SECONDS: Final = 0.5
 """How often deadlines and restarts are looked at."""
 CLOSE_SECONDS: Final = 2.0
-RATE_WEIGHT: Final = 0.3
-"""Of the newest lease in a device's shown rate."""
+RATE_SECONDS: Final = 10.0
+"""Of tracing, after which a lease counts 1/e of its samples and seconds in a device's shown rate."""
 
 
 class NoDeviceError(RuntimeError):
@@ -300,9 +301,12 @@ _NOBODY: Final = DeviceDescription("", "", "", "", "", "", 0, 0, "")
 def _measure(slot: DeviceSlot, result: LeaseResult) -> None:
     if result.seconds <= 0:
         return
-    rate = sum(node.sums.size * node.sample_count for node in result.nodes) / result.seconds
-    before = slot.samples_per_second
-    slot.samples_per_second = rate if before is None else RATE_WEIGHT * rate + (1 - RATE_WEIGHT) * before
+    samples = sum(node.sums.size * node.sample_count for node in result.nodes)
+    # Leases count by what they took: the mean of the rates of cheap and dear tiles would be far too high.
+    kept = math.exp(-result.seconds / RATE_SECONDS)
+    slot.recent_samples = kept * slot.recent_samples + samples
+    slot.recent_seconds = kept * slot.recent_seconds + result.seconds
+    slot.samples_per_second = slot.recent_samples / slot.recent_seconds
 
 
 def _status(slot: DeviceSlot) -> DeviceStatus:

@@ -22,6 +22,7 @@ from penumbra_service.engine import snapshot
 from penumbra_service.engine.canvas import Canvas
 from penumbra_service.engine.clock import TraceClock
 from penumbra_service.engine.desk import LeaseDesk
+from penumbra_service.engine.pace import Pace
 from penumbra_service.engine.progress import Now, forecast, progress_of
 from penumbra_service.engine.protocol import (
     DeviceDescription,
@@ -181,6 +182,7 @@ class JobRunner:
             memory_limit=self._task.memory_limit,
         )
         self._canvas = Canvas(film, batches, kept.record)
+        self._pace = Pace(kept.record.seconds, self._canvas.samples)
         self._desk.add(self._canvas.missing())
         self._next_snapshot = time.monotonic() + SNAPSHOT_SECONDS
 
@@ -244,7 +246,9 @@ class JobRunner:
         use.leases += 1
         use.seconds += result.seconds
         self._record.trace_seconds += result.seconds
+        before = self._canvas.samples
         self._canvas.take(result.nodes)
+        self._pace.deliver(self._clock.seconds, self._canvas.samples - before)
 
     def _take_scene(self, device: DeviceDescription, loaded: SceneLoaded) -> None:
         record = self._record
@@ -342,8 +346,8 @@ class JobRunner:
 
     def _rate(self) -> float | None:
         """Samples a replicate per second, of the whole picture."""
-        rate = self._desk.rate
-        return rate / (self._pixels * self._layout.replicates) if rate else None
+        rate = self._pace.rate
+        return rate / self._layout.replicates if rate else None
 
     def _foretell(self) -> None:
         record = self._record
@@ -360,10 +364,12 @@ class JobRunner:
         rate = self._rate()
         return math.inf if rate is None else self._canvas.missing_samples() / rate
 
-    def _now(self) -> Now:
-        rate = self._rate()
-        per_sample = 1 / (rate * self._layout.replicates) if rate else None
-        return Now(self._canvas.samples, self._clock.seconds, per_sample)
+    def _now(self, *, done: bool = False) -> Now:
+        """`done`: only samples that make up the picture count, as in the receipt; work ahead is dropped."""
+        rate = self._pace.rate
+        counts = self._record.counts
+        samples = counts.taken / counts.pixels if done and counts and counts.pixels else self._canvas.samples
+        return Now(samples, self._clock.seconds, 1 / rate if rate else None)
 
     def _tell(self, force: bool = False, share: float = 0.0) -> None:
         """Progress and preview, if it is time."""
@@ -371,7 +377,7 @@ class JobRunner:
         if not force and now < self._last_progress + PROGRESS_SECONDS:
             return
         self._last_progress = now
-        standing = self._now()
+        standing = self._now(done=share == 1.0)
         told = forecast(self._rule, self._record.points, standing)
         before = 0.0 if self._told is None else self._told[1].progress
         progress = progress_of(self._rule, self._record, told, standing, max(before, share))

@@ -63,6 +63,7 @@ class DeviceSlot:
         self.leases_done = 0
         self.crashes = 0
         self.samples_per_second: float | None = None
+        self.recent_samples = self.recent_seconds = 0.0
         self.last_reason = ""
         self._command = command
         self._words: IO[bytes] | None = None

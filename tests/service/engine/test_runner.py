@@ -213,13 +213,15 @@ def test_cancel_ends_at_once(fake_engine, make_task):  # type: ignore[no-untyped
 def test_an_error_target_is_met_by_the_stated_margin(fake_engine, make_task):  # type: ignore[no-untyped-def]
     """A constant picture of uniform noise: relmse(n) = k / n is known, so is where the rule must stop."""
     task = make_task(stop={"relative_error": 0.06})
-    result = JobRunner(fake_engine(), task).run()
+    told = []
+    result = JobRunner(fake_engine(), task, on_progress=lambda state, progress: told.append(progress)).run()
     assert result.reason is StopReason.RELATIVE_ERROR
     signal2 = 0.25 * (1 + 0.25 + 4) / 3
     k = (1 / 12) * (1 + 0.25 + 4) / 3 / (signal2 + 0.01)
     needed = k / 0.06**2
     samples = result.end * 8
     assert needed <= samples <= 1.6 * needed + 8
+    assert told[-1].samples_done == samples  # work beyond the end is dropped, and not counted either
     last = result.record.points[-1]
     assert last.upper <= 0.06**2
     assert result.record.points[-2].upper > 0.06**2
