@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+from penumbra_service.images.digits import draw_text
 from penumbra_service.images.heatmap import (
     HIGHEST,
     LOWEST,
@@ -108,6 +109,19 @@ def test_the_map_has_a_fixed_scale_and_says_what_is_unknown() -> None:
     for error, position in ((LOWEST, 0.0), (np.sqrt(LOWEST * HIGHEST), 0.5), (HIGHEST, 1.0), (50.0, 1.0)):
         shown = heatmap(mean, gray(error**2 * 1.01, 100, 200))[50, 50].astype(int)
         np.testing.assert_allclose(shown, palette(np.array(position)).astype(int), atol=1)
+
+
+@pytest.mark.parametrize("width", [96, 97, 320, 512])
+def test_labels_are_whole_and_off_the_edges(width: int) -> None:
+    labels = heatmap(gray(1.0, 60, width), gray(0.1, 60, width))[-SCALE_HEIGHT + 11 :]
+    lit = (labels == 255).all(axis=-1)
+    assert not lit[:, :3].any()
+    assert not lit[:, -3:].any()
+    assert not lit[-1].any()
+    alone = np.zeros((4, 8, 100, 3), np.uint8)
+    for canvas, label in zip(alone, ("0.1%", "1%", "10%", "100%"), strict=True):
+        draw_text(canvas, label, 50, 1)
+    assert lit.sum() == (alone[..., 0] == 255).sum()  # nothing is cut off, nothing overlaps
 
 
 def test_the_palette_gets_lighter_all_the_way() -> None:
