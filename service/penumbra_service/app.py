@@ -40,7 +40,7 @@ def create_app(settings: Settings, runner: Runner | None = None) -> FastAPI:
         service.database.close()
         raise PublicWithoutKeyError(
             f"other machines can reach the host {settings.host!r}, and there is no API key to guard it. "
-            "Make one with `penumbra keys create NAME`, or listen on 127.0.0.1 (the default)."
+            f"Make one with `{settings.keys_command('create NAME')}`, or listen on 127.0.0.1 (the default)."
         )
     app = FastAPI(
         title="Penumbra",

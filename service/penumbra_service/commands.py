@@ -6,6 +6,7 @@ Nothing heavy is imported before a command runs: `penumbra --help` imports this 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,16 +56,17 @@ variable; docs/configuration.md lists them all. Once it listens, the service pri
 
   penumbra serve                                 on 127.0.0.1:8484
   penumbra serve --port 0 --data out/data        on a free port
-  penumbra keys create laptop                    make a key; then other machines may be let in:
-  penumbra serve --host 0.0.0.0
+  penumbra keys create laptop --data out/data    make a key of that service; then other machines may be let in:
+  penumbra serve --host 0.0.0.0 --data out/data
 """
 
 
-def _add_data(parser: argparse.ArgumentParser) -> None:
+def _add_data(parser: argparse.ArgumentParser, default: Any = None) -> None:
     parser.add_argument(
         "--data",
         type=Path,
         metavar="FOLDER",
+        default=default,
         help="where the service keeps everything (default: PENUMBRA_DATA, or ~/.local/share/penumbra)",
     )
 
@@ -105,11 +107,13 @@ _KEYS: Final = """\
 Make, list and revoke the API keys of a service whose data lie on this machine.
 
 A key is shown once, when it is made; only a hash of it is kept. Clients take it from PENUMBRA_API_KEY. Once a
-service has ever had a key, it answers nobody without one.
+service has ever had a key, it answers nobody without one. Name the data folder that the service was started
+with: each folder has its own keys.
 
-  penumbra keys create laptop
-  penumbra keys list
-  penumbra keys revoke laptop
+  penumbra keys create laptop --data data    of the service that `make serve` keeps up
+  penumbra keys create laptop                of one that was started without --data
+  penumbra keys list --data data
+  penumbra keys revoke laptop --data data
 """
 
 
@@ -117,15 +121,23 @@ def _configure_keys(parser: argparse.ArgumentParser) -> None:
     _add_data(parser)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     create = actions.add_parser("create", help="make a key, and print it")
-    create.add_argument("name", help="what it is for")
-    actions.add_parser("list", help="list the keys, without what is secret")
+    create.add_argument("name", help="what it is for; no two active keys have one name")
+    listing = actions.add_parser("list", help="list the keys, without what is secret")
     revoke = actions.add_parser("revoke", help="end a key")
     revoke.add_argument("name", help="a key's name or id")
+    for action in (create, listing, revoke):
+        # Without a default of its own, so that the folder may stand on either side of the action's word.
+        _add_data(action, argparse.SUPPRESS)
 
 
 def _keys(arguments: argparse.Namespace) -> int:
+    from penumbra_service.store.keys import KeyNameError
+
     _settings(data=arguments.data)  # a complaint about settings should come before anything is made
-    return _KEY_ACTIONS[arguments.action](arguments)
+    try:
+        return _KEY_ACTIONS[arguments.action](arguments)
+    except KeyNameError as error:
+        raise CommandError(str(error)) from None
 
 
 def _create_key(arguments: argparse.Namespace) -> int:
@@ -133,6 +145,9 @@ def _create_key(arguments: argparse.Namespace) -> int:
 
     token, _ = create_key(arguments.name, arguments.data)
     print(token)
+    place = _settings(data=arguments.data)
+    kept = "the database of PENUMBRA_DATABASE_URL" if place.database_url else str(place.data.absolute())
+    print(f"kept in {kept}: it opens the service that keeps its data there, and no other", file=sys.stderr)
     return Exit.OK
 
 
@@ -149,7 +164,8 @@ def _revoke_key(arguments: argparse.Namespace) -> int:
     from penumbra_service.serve import revoke_key
 
     if revoke_key(arguments.name, arguments.data) == 0:
-        raise CommandError(f"there is no active key {arguments.name!r}; `penumbra keys list` shows them")
+        listing = _settings(data=arguments.data).keys_command("list")
+        raise CommandError(f"there is no active key {arguments.name!r}; `{listing}` shows them")
     return Exit.OK
 
 

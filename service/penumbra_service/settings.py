@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -92,6 +93,10 @@ class Settings:
     def work_folder(self) -> Path:
         """Snapshots and unfinished files of jobs, a folder for each."""
         return self.data.absolute() / "work"
+
+    def keys_command(self, words: str) -> str:
+        """`penumbra keys`, as it is to be typed for the service with these settings."""
+        return f"penumbra keys {words} --data {shlex.quote(str(self.data))}"
 
     @property
     def public(self) -> bool:

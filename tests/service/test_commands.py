@@ -100,6 +100,21 @@ def test_a_key_opens_a_public_service_to_its_holder_alone(environment: dict[str,
         assert httpx.get(f"{address}/health").status_code == 200
 
 
+def test_the_data_folder_may_stand_on_either_side_of_the_action(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    there = str(tmp_path / "there")
+    made = _penumbra("keys", "create", "a", "--data", there, environment=environment)
+    assert made.returncode == Exit.OK
+    assert there in made.stderr
+    assert made.stdout.startswith("pnb_")
+    assert _penumbra("keys", "--data", there, "list", environment=environment).stdout.rstrip().endswith(" a")
+    assert _penumbra("keys", "list", environment=environment).stdout == ""
+    again = _penumbra("keys", "create", "a", "--data", there, environment=environment)
+    assert (again.returncode, again.stdout) == (Exit.USAGE, "")
+    assert "already" in again.stderr
+
+
 def test_keys_are_listed_without_what_is_secret_and_revoked_by_name(environment: dict[str, str]) -> None:
     token = _penumbra("keys", "create", "laptop", environment=environment).stdout.strip()
     listed = _penumbra("keys", "list", environment=environment).stdout

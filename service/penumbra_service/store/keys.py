@@ -21,6 +21,13 @@ HINT_LENGTH: Final = 8
 """Characters of a key that are kept readable, so that a person can tell two apart."""
 
 
+MAX_NAME: Final = 200
+
+
+class KeyNameError(ValueError):
+    """A key cannot have this name; the message says why, and what is accepted."""
+
+
 @dataclass(frozen=True)
 class ApiKey:
     """What is known of a key; the key itself is shown once, when it is made."""
@@ -47,10 +54,21 @@ class KeyStore:
         self._database = database
 
     def create(self, name: str) -> tuple[str, ApiKey]:
-        """A new key: its text, which is not kept, and what is."""
+        """A new key: its text, which is not kept, and what is. Raises KeyNameError.
+
+        Active keys have different names, so that to revoke one by its name ends no other.
+        """
+        if not 1 <= len(name) <= MAX_NAME or not name.isprintable():
+            accepted = f"1 to {MAX_NAME} printable characters"
+            raise KeyNameError(f"a key's name: given {name[:80]!r}, accepted: {accepted}")
         token = PREFIX + secrets.token_urlsafe(RANDOM_BYTES)
         key = ApiKey(new_id(), name, token[:HINT_LENGTH], datetime.now(UTC), None)
+        namesake = select(api_keys.c.id).where(api_keys.c.name == name, api_keys.c.revoked.is_(None))
         with self._database.write() as connection:
+            if connection.execute(namesake).first() is not None:
+                raise KeyNameError(
+                    f"there is an active key {name!r} already: choose another name, or revoke it"
+                )
             connection.execute(
                 insert(api_keys).values(
                     id=key.id, name=name, hint=key.hint, created=key.created, digest=_digest(token)

@@ -15,8 +15,9 @@ LOCAL = "http://127.0.0.1:8484"
 
 
 def test_a_public_bind_without_a_key_is_refused(tmp_path: Path, runner: Any) -> None:
-    with pytest.raises(PublicWithoutKeyError, match="API key"):
+    with pytest.raises(PublicWithoutKeyError, match="API key") as refused:
         create_app(Settings(host="0.0.0.0", data=tmp_path), runner)
+    assert f"`penumbra keys create NAME --data {tmp_path}`" in str(refused.value)  # as it is to be typed
 
 
 def test_a_public_bind_with_a_revoked_key_only_is_refused(tmp_path: Path, runner: Any) -> None:

@@ -11,7 +11,7 @@ from alembic.migration import MigrationContext
 from penumbra_service.store.database import Database
 from penumbra_service.store.ids import LENGTH, IdMaker, encode, is_id
 from penumbra_service.store.jobs import NewJob, SqlJobStore
-from penumbra_service.store.keys import PREFIX, KeyStore
+from penumbra_service.store.keys import PREFIX, KeyNameError, KeyStore
 from penumbra_service.store.schema import jobs, metadata
 from sqlalchemy import func, select
 
@@ -90,7 +90,7 @@ def test_keys_are_checked_listed_and_revoked(database: Database) -> None:
     keys = KeyStore(database)
     assert not keys.any_made()
     token, key = keys.create("a")
-    other, _ = keys.create("a")
+    other, _ = keys.create("b")
     assert token.startswith(PREFIX)
     assert token != other
     found = keys.check(token)
@@ -102,8 +102,24 @@ def test_keys_are_checked_listed_and_revoked(database: Database) -> None:
     assert keys.check(token) is None
     assert keys.check(other) is not None
     assert keys.any_active()
-    assert keys.revoke("a") == 1
-    assert keys.revoke("a") == 0
+    assert keys.revoke("b") == 1
+    assert keys.revoke("b") == 0
     assert not keys.any_active()
     assert keys.any_made()
     assert [k.revoked is not None for k in keys.list()] == [True, True]
+
+
+@pytest.mark.parametrize("name", ["", "x" * 201, "a\nb"])
+def test_keys_have_names_that_can_be_read(database: Database, name: str) -> None:
+    with pytest.raises(KeyNameError, match="1 to 200 printable"):
+        KeyStore(database).create(name)
+
+
+def test_a_name_is_one_active_keys(database: Database) -> None:
+    keys = KeyStore(database)
+    keys.create("laptop")
+    with pytest.raises(KeyNameError, match="already"):
+        keys.create("laptop")
+    assert keys.revoke("laptop") == 1
+    keys.create("laptop")
+    assert [k.revoked is None for k in keys.list()] == [False, True]
