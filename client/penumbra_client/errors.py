@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from penumbra_scene.errors import Problem, ProblemError
@@ -38,6 +40,21 @@ class RefusedError(ProblemError, ClientError):
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         self.exit_code = Exit.INVALID if problem.status == 422 or problem.errors else Exit.REFUSED
+
+
+@contextmanager
+def told_of_file() -> Iterator[None]:
+    """Has the places in refusals of a job (`/scene/camera/fov`) point into the scene's file (`/camera/fov`)."""
+    try:
+        yield
+    except RefusedError as refused:
+        items = tuple(
+            item.model_copy(update={"pointer": item.pointer.removeprefix("/scene")})
+            if item.pointer == "/scene" or item.pointer.startswith("/scene/")
+            else item
+            for item in refused.problem.errors
+        )
+        raise RefusedError(refused.problem.model_copy(update={"errors": items})) from None
 
 
 class NotFinishedError(ClientError):

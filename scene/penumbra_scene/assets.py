@@ -11,6 +11,10 @@ from penumbra_scene.base import Model, error_at
 Sha256 = Annotated[str, StringConstraints(pattern=r"^sha256:[0-9a-f]{64}$")]
 
 
+_OUTSIDE = "is no path inside the scene's folder; and files can be named on the command line only"
+_INSIDE = """{"asset": "sha256:..."}, uploaded to /v1/assets; on the command line also a relative path without '..'"""
+
+
 def _leaves_folder(path: str) -> bool:
     parts = path.replace("\\", "/").split("/")
     return parts[0] == "" or ":" in parts[0] or ".." in parts or "\0" in path
@@ -30,5 +34,5 @@ class AssetRef(Model):
                 "", "has neither or both of asset and file", '{"asset": "sha256:..."} or {"file": path}'
             )
         if self.file is not None and _leaves_folder(self.file):
-            raise error_at("/file", "leaves the scene's folder", "a relative path without '..'")
+            raise error_at("/file", _OUTSIDE, _INSIDE)
         return self

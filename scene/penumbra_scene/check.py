@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from penumbra_scene import limits
 from penumbra_scene.assets import AssetRef
+from penumbra_scene.base import Vec3
 from penumbra_scene.errors import pointer, shorten
 from penumbra_scene.film import BoxFilter
 from penumbra_scene.lights import ImageEnvironment
@@ -27,6 +28,11 @@ _UNIFORM: Final = 1e-5
 """Relative difference of scale factors that still counts as one factor: far above what rotations written with
 six digits leave, far below what would show."""
 
+_FLAT: Final = 1e-12
+"""Sine of an angle between a triangle's sides that rounding in float64 makes of 0, and more."""
+_MOST_TRIANGLES_LOOKED_AT: Final = 200_000
+"""Larger meshes are not searched for flat triangles: that would take longer than all other checks."""
+
 
 @dataclass(frozen=True)
 class SceneError:
@@ -42,7 +48,7 @@ class SceneError:
 def check_scene(scene: Scene, *, allow_files: bool = False) -> list[SceneError]:
     """All cross-reference errors and warnings of a scene; `allow_files` where assets may be named by file."""
     found: list[SceneError] = []
-    for check in (_names, _sampling, _emitters, _totals, _sizes, _energy, _light):
+    for check in (_names, _sampling, _emitters, _totals, _sizes, _energy, _flat, _light):
         found += check(scene)
     if not allow_files:
         found += _files(scene)
@@ -145,9 +151,8 @@ def _emitters(scene: Scene) -> Iterator[SceneError]:
         for i, part in enumerate(group):
             if part.emission is not None:
                 at = pointer(("prototypes", name, i, "emission"))
-                yield SceneError(
-                    at, "prototypes cannot emit", "emission", "null; put the light under `shapes`"
-                )
+                given = shorten(part.emission.model_dump(mode="json"))
+                yield SceneError(at, "prototypes cannot emit", given, "null; put the light under `shapes`")
     for i, shape in enumerate(scene.shapes):
         if isinstance(shape, Sphere) and shape.emission is not None and not _round(shape):
             message = "a sphere that emits must stay a sphere: its scale must be the same along every axis"
@@ -253,10 +258,48 @@ def _energy(scene: Scene) -> Iterator[SceneError]:
             yield SceneError(pointer(("materials", name)), message, warning=True)
 
 
+def _flat(scene: Scene) -> Iterator[SceneError]:
+    """Triangles of inline meshes that are points or lines: no ray meets them, and they give no light."""
+    for path, shape in _each_shape(scene):
+        if not isinstance(shape, Mesh) or not shape.indices or len(shape.indices) > _MOST_TRIANGLES_LOOKED_AT:
+            continue
+        count = _flat_triangles(shape)
+        if count:
+            share = "all" if count == len(shape.indices) else f"{count} of {len(shape.indices)}"
+            effect = "are never seen and give no light" if shape.emission is not None else "are never seen"
+            message = f"{share} triangles have no area: they {effect}"
+            yield SceneError(pointer((*path, "indices")), message, warning=True)
+
+
+def _flat_triangles(mesh: Mesh) -> int:
+    return sum(_is_flat(mesh, triangle) for triangle in mesh.indices or ())
+
+
+def _is_flat(mesh: Mesh, triangle: tuple[int, int, int]) -> bool:
+    """Whether the triangle's corners lie on a line, now and (with a deformation) always."""
+    frames = [k.positions for k in mesh.deformation] if mesh.deformation else [mesh.positions or ()]
+    return all(_on_a_line(*(positions[i] for i in triangle)) for positions in frames)
+
+
+def _on_a_line(a: Vec3, b: Vec3, c: Vec3) -> bool:
+    u = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    v = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+    sizes = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return x * x + y * y + z * z <= _FLAT * _FLAT * sizes
+
+
+def _shines(shape: Shape) -> bool:
+    if isinstance(shape, (Instance, Plane)) or shape.emission is None or not any(shape.emission.radiance):
+        return False
+    if not isinstance(shape, Mesh) or not shape.indices or len(shape.indices) > _MOST_TRIANGLES_LOOKED_AT:
+        return True
+    return _flat_triangles(shape) < len(shape.indices)
+
+
 def _light(scene: Scene) -> Iterator[SceneError]:
-    shines = any(not isinstance(s, (Instance, Plane)) and s.emission is not None for s in scene.shapes)
-    if not shines and not scene.lights and scene.environment is None:
-        message = "the scene has no light: no lights, no environment, no shape with an emission"
+    if not any(map(_shines, scene.shapes)) and not scene.lights and scene.environment is None:
+        message = "the scene has no light: no lights, no environment, no shape of some area with an emission"
         yield SceneError("", message, warning=True)
     if not scene.shapes and scene.environment is None:
         yield SceneError("/shapes", "the scene is empty: the picture will be black", warning=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -106,6 +107,7 @@ def _describe(root: dict[str, Any], option: dict[str, Any]) -> str:
 
 
 def _number(option: dict[str, Any]) -> str:
+    option = _tightest(option)
     bounds = [
         f"{word} {_plain(option[key])}"
         for key, word in (
@@ -120,13 +122,29 @@ def _number(option: dict[str, Any]) -> str:
     return name + (" " + ", ".join(bounds) if bounds else "")
 
 
+def _tightest(option: dict[str, Any]) -> dict[str, Any]:
+    """Of an inclusive and an exclusive bound on one side only the one that tells."""
+    low, above = option.get("minimum", -math.inf), option.get("exclusiveMinimum", -math.inf)
+    high, below = option.get("maximum", math.inf), option.get("exclusiveMaximum", math.inf)
+    idle = {
+        "minimum" if above >= low else "exclusiveMinimum",
+        "maximum" if below <= high else "exclusiveMaximum",
+    }
+    return {key: value for key, value in option.items() if key not in idle}
+
+
 def _plain(bound: float) -> str:
     return str(bound) if isinstance(bound, int) else f"{bound:.16g}"
 
 
 def _string(option: dict[str, Any]) -> str:
-    text = f"a string of at most {option['maxLength']} characters" if "maxLength" in option else "a string"
-    if "pattern" in option and "\\x00" not in option["pattern"]:
+    least, most = option.get("minLength"), option.get("maxLength")
+    text = "a string"
+    if most is not None:
+        text += f" of {least} to {most} characters" if least else f" of at most {most} characters"
+    if "\\x00" in option.get("pattern", ""):
+        text += ", none of them a control character"
+    elif "pattern" in option:
         text += f" matching {option['pattern']}"
     return text
 

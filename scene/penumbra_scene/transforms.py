@@ -91,6 +91,15 @@ class LookAt(Model):
 STEP_KEYS = ("translate", "rotate", "scale", "matrix", "look_at")
 
 
+def _one_step(value: Any) -> Any:
+    """An object of several steps would not say in which order they are meant."""
+    found = [key for key in value if key in STEP_KEYS] if isinstance(value, dict) else []
+    if len(found) > 1:
+        listed = ", ".join(f'{{"{key}": ...}}' for key in found)
+        raise error_at("", "holds several steps: one an object, in the order they are applied", f"[{listed}]")
+    return value
+
+
 def _step_tag(value: Any) -> str | None:
     keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, Model) else ()
     return next((key for key in STEP_KEYS if key in keys), None)
@@ -107,15 +116,23 @@ Step = Annotated[
         custom_error_type="transform_step",
         custom_error_message="must be an object with one of the keys " + ", ".join(STEP_KEYS),
     ),
+    BeforeValidator(_one_step),
 ]
 
 Steps = Annotated[tuple[Step, ...], Field(max_length=limits.MAX_STEPS)]
 
 
+def _listed(value: Any) -> Any:
+    """One step alone stands for a list of one."""
+    if isinstance(value, dict) and "keyframes" not in value:
+        return [value]
+    return value
+
+
 class TransformKeyframe(Model):
     time: Float
     """Seconds."""
-    transform: Steps
+    transform: Annotated[Steps, BeforeValidator(_listed, json_schema_input_type=Step | Steps)]
 
 
 class Keyframes(Model):
@@ -130,13 +147,6 @@ class Keyframes(Model):
         if any(b <= a for a, b in pairwise(times)):
             raise error_at("/keyframes", "keyframe times must rise strictly", "times that rise")
         return self
-
-
-def _listed(value: Any) -> Any:
-    """One step alone stands for a list of one."""
-    if isinstance(value, dict) and "keyframes" not in value:
-        return [value]
-    return value
 
 
 def _transform_tag(value: Any) -> str:

@@ -95,6 +95,31 @@ def test_without_settings_only_the_scene_is_sent(service: Any, scene: str) -> No
     assert service.requests("POST /v1/jobs")[0].json == {"scene": SCENE}
 
 
+def test_refusals_of_a_job_point_into_the_scenes_file(
+    service: Any, scene: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    item = {
+        "pointer": "/scene/camera/fov",
+        "message": "must be greater than 0",
+        "given": "-1",
+        "accepted": "",
+    }
+    ours = {**item, "pointer": "/scenery"}
+    problem = {"type": "about:blank", "title": "T", "status": 422, "detail": "D", "errors": [item, ours]}
+    service.on("POST /v1/jobs", service.answer(problem, 422))
+    assert main(["submit", scene]) == Exit.INVALID
+    said = capsys.readouterr().err
+    assert "at /camera/fov: must be greater than 0" in said
+    assert "at /scenery:" in said
+
+
+@pytest.mark.parametrize("size", ["16x", "x16", "16", "0x16", "16x16x16", "-1x2"])
+def test_a_wrong_size_is_shown_as_it_was_given(size: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["submit", "s.json", f"--size={size}"])
+    assert f"{size!r} given, WIDTHxHEIGHT accepted" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("state", "status"), [("done", Exit.OK), ("failed", Exit.FAILED), ("cancelled", Exit.CANCELLED)]
 )

@@ -180,3 +180,35 @@ def test_rough_materials_are_counted_by_what_they_differ_in() -> None:
     assert not errors(scene(limits.MAX_ALBEDO_TABLES))
     assert "/materials" in errors(scene(limits.MAX_ALBEDO_TABLES + 1))
     assert not errors(scene(limits.MAX_ALBEDO_TABLES + 1, energy_compensation=False))
+
+
+def _triangle(third: list[float], **more: Any) -> dict[str, Any]:
+    positions = [[0, 0, 0], [0.1, 0.1, 0.1], third]
+    return {"type": "mesh", "positions": positions, "indices": [[0, 1, 2]], **more}
+
+
+def test_a_light_without_an_area_is_told_of_and_is_no_light() -> None:
+    dark = {**CAMERA, "environment": None, "shapes": [_triangle([0.3, 0.3, 0.3], emission={"radiance": 1})]}
+    told = warnings(dark)
+    assert any("all triangles have no area: they are never seen and give no light" in m for m in told)
+    assert any("the scene has no light" in m for m in told)
+    dark["shapes"] = [_triangle([0.3, 0.3, 0.300001], emission={"radiance": 1})]  # thin, and no line
+    assert warnings(dark) == []
+
+
+def test_flat_triangles_are_counted_and_moving_ones_are_not() -> None:
+    mesh = _triangle([1, 0, 0])
+    mesh["indices"] = [[0, 1, 2], [0, 0, 1], [2, 2, 2]]
+    (told,) = warnings({**CAMERA, "shapes": [mesh]})
+    assert told.startswith("2 of 3 triangles have no area")
+    flat, open_ = [[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    frames = [{"time": 0, "positions": flat}, {"time": 1, "positions": open_}]
+    assert warnings({**CAMERA, "shapes": [_triangle([0.3, 0.3, 0.3], deformation=frames)]}) == []
+
+
+def test_one_step_alone_is_a_list_in_keyframes_too() -> None:
+    step = {"translate": [1, 0, 0]}
+    scenes = [
+        Scene.model_validate(shining({"keyframes": [{"time": 0, "transform": t}]})) for t in (step, [step])
+    ]
+    assert scenes[0] == scenes[1]

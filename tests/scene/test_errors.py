@@ -69,7 +69,20 @@ WRONG = [
     ("/camera/transform", "up", "/camera/transform", "keyframes"),
     ("/camera/transform", {"turn": 1}, "/camera/transform", "rotate"),
     ("/camera/transform", {"translate": [1, 2]}, "/camera/transform/translate", "an array of 3"),
-    ("/camera/transform", {"translate": [1, 2, 3], "scale": 2}, "/camera/transform/scale", "translate"),
+    (
+        "/camera/transform",
+        {"scale": 2, "translate": [1, 2, 3]},
+        "/camera/transform",
+        '[{"scale": ...}, {"translate": ...}]',
+    ),
+    ("/camera/fov", 180, "/camera/fov", "below 180"),
+    (
+        "/materials/wall/base_color",
+        {"texture": ""},
+        "/materials/wall/base_color/texture",
+        "1 to 200 characters",
+    ),
+    ("/shapes/2", {"type": "mesh", "source": {"file": "http://x/y"}}, "/shapes/2/source/file", "/v1/assets"),
     ("/camera/transform", [{"scale": [1, 0, 1]}], "/camera/transform/0/scale", "1e-12"),
     ("/camera/transform", {"keyframes": []}, "/camera/transform/keyframes", "at least 1"),
     (
@@ -271,3 +284,13 @@ def test_a_key_given_twice_is_blamed_on_its_object(minimal: dict[str, Any]) -> N
     with pytest.raises(ProblemError) as caught:
         parse_scene(text.encode())
     assert [e.pointer for e in caught.value.problem.errors] == ["/lights/0"]
+
+
+def test_a_bound_that_another_makes_idle_is_not_told(minimal: dict[str, Any]) -> None:
+    (item,) = problem_of(put(minimal, "/camera/fov", 180)).errors
+    assert item.accepted == "a number above 0, below 180"
+
+
+def test_an_emission_in_a_prototype_is_shown(minimal: dict[str, Any]) -> None:
+    (item,) = problem_of(put(minimal, "/prototypes/ball/0/emission", {"radiance": 1})).errors
+    assert item.given.startswith('{"radiance": [1.0')

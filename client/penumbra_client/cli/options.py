@@ -84,7 +84,7 @@ def _count(text: str) -> int:
 
 def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= 2**64:
-        raise argparse.ArgumentTypeError(f"{text!r} given, a whole number from 0 accepted")
+        raise argparse.ArgumentTypeError(f"{text!r} given, a whole number from 0 to {2**64 - 1} accepted")
     return int(text)
 
 
@@ -107,7 +107,7 @@ def _error(text: str) -> float:
 
 
 def _size(text: str) -> tuple[int, int]:
-    width, times, height = text.partition("x")
-    if not times:
+    sides = text.split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and int(side) for side in sides):
         raise argparse.ArgumentTypeError(f"{text!r} given, WIDTHxHEIGHT accepted, such as 320x240")
-    return _count(width), _count(height)
+    return int(sides[0]), int(sides[1])

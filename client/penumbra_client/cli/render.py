@@ -64,13 +64,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _request(document: dict[str, Any], given: dict[str, Any]) -> JobRequest:
-    """The job, checked. Raises RefusedError with pointers into the job, `/scene` being the file."""
+    """The job, checked. Raises RefusedError with pointers into the file."""
     from penumbra_scene.errors import ProblemError
     from penumbra_scene.parse import job_from_json
 
-    from penumbra_client.errors import RefusedError
+    from penumbra_client.errors import RefusedError, told_of_file
 
-    try:
-        return job_from_json({"scene": document, **given}, allow_files=True)
-    except ProblemError as error:
-        raise RefusedError(error.problem) from None
+    with told_of_file():
+        try:
+            return job_from_json({"scene": document, **given}, allow_files=True)
+        except ProblemError as error:
+            raise RefusedError(error.problem) from None

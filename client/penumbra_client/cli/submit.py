@@ -46,17 +46,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Submit, and follow the job as far as asked."""
+    from penumbra_client.errors import told_of_file
     from penumbra_client.scenefile import read_scene
 
     document, folder = read_scene(arguments.scene)
     with connect(arguments) as client:
-        job = client.submit(
-            document,
-            folder,
-            idempotency_key=arguments.idempotency_key,
-            priority=arguments.priority,
-            **settings(arguments, document),
-        )
+        with told_of_file():
+            job = client.submit(
+                document,
+                folder,
+                idempotency_key=arguments.idempotency_key,
+                priority=arguments.priority,
+                **settings(arguments, document),
+            )
         if not (arguments.wait or arguments.out):
             print(job.model_dump_json(indent=1) if arguments.json else job.id)
             return Exit.OK

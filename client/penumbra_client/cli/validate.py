@@ -32,11 +32,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check."""
+    from penumbra_client.errors import told_of_file
     from penumbra_client.scenefile import read_scene
 
     document, folder = read_scene(arguments.scene)
     if arguments.server:
-        with connect(arguments) as client:
+        with connect(arguments) as client, told_of_file():
             warnings = client.validate(document, folder).warnings
     else:
         warnings = _check_here(document, folder)

@@ -184,7 +184,7 @@ class LocalEngine:
             self._slots = [DeviceSlot(device, self._command) for device in wanted]
         except NoDeviceError as error:
             self._problem = str(error)
-            log.error("%s", error)
+            log.info("%s", error)  # whoever waits for devices raises it, and a service tells it in /health
         self._known.set()
 
     def _start_due(self) -> None:

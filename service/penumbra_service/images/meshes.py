@@ -40,7 +40,7 @@ def read_mesh(data: bytes, kind: str, limits: DecodeLimits) -> MeshData:
     parts = [part for part in readers[kind](data) if len(part.triangles)]
     if not parts:
         raise AssetError("the file has no faces")
-    return _checked(_joined(parts), limits)
+    return _checked(_joined(parts), limits, first=1 if kind == "obj" else 0)
 
 
 def _obj(data: bytes) -> list[Part]:
@@ -160,7 +160,8 @@ def _joined(parts: list[Part]) -> Part:
     )
 
 
-def _checked(part: Part, limits: DecodeLimits) -> MeshData:
+def _checked(part: Part, limits: DecodeLimits, first: int = 0) -> MeshData:
+    """`first`: from which number the format counts vertices."""
     count = len(part.positions)
     if len(part.triangles) > limits.triangles:
         raise AssetError(
@@ -170,7 +171,9 @@ def _checked(part: Part, limits: DecodeLimits) -> MeshData:
         raise AssetError(f"the file has {count} vertices; at most {limits.vertices} are accepted")
     low, high = int(part.triangles.min()), int(part.triangles.max())
     if low < 0 or high >= count:
-        raise AssetError(f"a face refers to vertex {low if low < 0 else high}, but there are only {count}")
+        wrong = (low if low < 0 else high) + first
+        accepted = f"{first} to {count - 1 + first}"
+        raise AssetError(f"a face refers to vertex {wrong}, but there are only {count}: {accepted}")
     _check_finite("positions", part.positions)
     if part.uvs is not None:
         _check_finite("texture coordinates", part.uvs)
