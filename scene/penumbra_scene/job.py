@@ -59,6 +59,13 @@ class JobRequest(Model):
         )
 
 
+class JobChange(Model):
+    """What may change about a job."""
+
+    priority: Annotated[int, Field(ge=-100, le=100), NotBoolean]
+    """Higher ones go first."""
+
+
 OVERRIDES: Final = ("film", "sampler", "integrator", "stop")
 """The sections of a scene that a job may replace."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from penumbra_scene.base import Model
-from penumbra_scene.job import JobRequest
+from penumbra_scene.job import JobChange, JobRequest
 from penumbra_scene.receipt import Receipt
 from penumbra_scene.scene import Scene
 
@@ -19,7 +19,7 @@ _FOLDER: Final = Path(__file__).resolve().parents[2] / "docs" / "schema"
 
 def input_schema(title: str) -> dict[str, Any]:
     """The schema of what the model of that name takes; {} for one that users do not send."""
-    sent: dict[str, type[Model]] = {"Scene": Scene, "JobRequest": JobRequest}
+    sent: dict[str, type[Model]] = {"Scene": Scene, "JobRequest": JobRequest, "JobChange": JobChange}
     return sent[title].model_json_schema() if title in sent else {}
 
 

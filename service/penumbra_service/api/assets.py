@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api.jobs import owner_of, service_of
 from penumbra_service.api.problems import refuse
+from penumbra_service.api.results import RangedFile
 from penumbra_service.images.formats import (
     HEAD_BYTES,
     IMAGE_FORMATS,
@@ -65,7 +66,7 @@ def content(request: Request, sha256: Digest) -> FileResponse:
     digest = sha256.removeprefix("sha256:")
     path = service_of(request).asset_store.path(digest)
     headers = {"ETag": f'"{digest}"', "X-Content-Type-Options": "nosniff"}
-    return FileResponse(path, headers=headers, media_type="application/octet-stream", filename=digest)
+    return RangedFile(path, headers=headers, media_type="application/octet-stream", filename=digest)
 
 
 async def _receive(request: Request, response: Response, expected: str | None) -> AssetInfo:

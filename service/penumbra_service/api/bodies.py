@@ -11,10 +11,17 @@ from typing import Any, TypeVar
 from fastapi import Request
 from penumbra_kernels.assets import AssetError
 from penumbra_scene.check import asset_refs, inline_triangles, too_many_triangles
-from penumbra_scene.errors import ProblemError, ProblemItem, invalid_document, shorten
-from penumbra_scene.job import JobRequest
+from penumbra_scene.errors import (
+    ProblemError,
+    ProblemItem,
+    invalid_document,
+    problem_from_validation,
+    shorten,
+)
+from penumbra_scene.job import JobChange, JobRequest
 from penumbra_scene.parse import job_from_json, parse_json, scene_from_json
 from penumbra_scene.scene import Scene
+from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api.problems import refuse
@@ -81,6 +88,15 @@ def parse_submission(body: bytes, limit: int, assets: FolderAssets) -> Submissio
     check_assets(request.resolved_scene(), assets, "" if bare else "/scene")
     text = json.dumps(document, separators=(",", ":"))
     return Submission(request, text, _digest(document))
+
+
+def parse_change(body: bytes, limit: int) -> JobChange:
+    """What shall change about a job. Raises ProblemError."""
+    document = parse_json(body, limit)
+    try:
+        return JobChange.model_validate(document)
+    except ValidationError as error:
+        raise ProblemError(problem_from_validation(error, document, "change")) from None
 
 
 def parse_for_validation(body: bytes, limit: int, assets: FolderAssets) -> Scene:

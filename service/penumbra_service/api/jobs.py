@@ -9,11 +9,10 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from penumbra_scene.check import check_scene, scene_hash
 from penumbra_scene.errors import Problem
 from penumbra_scene.job import Finding, JobPage, JobState, JobStatus, Validation
-from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from penumbra_service.api.bodies import parse_for_validation, parse_submission, read_json
-from penumbra_service.api.openapi import JOB_BODY
+from penumbra_service.api.bodies import parse_change, parse_for_validation, parse_submission, read_json
+from penumbra_service.api.openapi import CHANGE_BODY, JOB_BODY
 from penumbra_service.api.problems import refuse
 from penumbra_service.service import RenderService, new_job
 from penumbra_service.status import job_status
@@ -26,14 +25,6 @@ _MAX_KEY: Final = 255
 _PROBLEM: Final[dict[str, Any]] = {"model": Problem, "description": "A problem (application/problem+json)"}
 _ON_JOB: Final[dict[int | str, dict[str, Any]]] = {404: _PROBLEM, 409: _PROBLEM}
 _ON_BODY: Final[dict[int | str, dict[str, Any]]] = dict.fromkeys((400, 409, 413, 415, 422), _PROBLEM)
-
-
-class JobChange(BaseModel):
-    """What may change about a job."""
-
-    model_config = ConfigDict(extra="forbid")
-    priority: Annotated[int, Field(ge=-100, le=100, strict=True)]
-    """Higher ones go first."""
 
 
 def service_of(request: Request) -> RenderService:
@@ -90,6 +81,7 @@ async def validate(request: Request) -> Validation:
 
 
 @router.get("/jobs")
+@router.head("/jobs", include_in_schema=False)
 def list_jobs(
     request: Request,
     state: Annotated[list[JobState] | None, Query(description="only jobs in these states")] = None,
@@ -119,15 +111,19 @@ def _job_before(cursor: str | None) -> str | None:
 
 
 @router.get("/jobs/{job_id}", responses=_ON_JOB)
+@router.head("/jobs/{job_id}", include_in_schema=False)
 def get_job(request: Request, job_id: str) -> JobStatus:
     """How a job stands."""
     return job_status(service_of(request).jobs.get(job_id), curve=True)
 
 
-@router.patch("/jobs/{job_id}", responses=_ON_JOB)
-def change_job(request: Request, job_id: str, change: JobChange) -> JobStatus:
+@router.patch("/jobs/{job_id}", responses={**_ON_BODY, **_ON_JOB}, openapi_extra=CHANGE_BODY)
+async def change_job(request: Request, job_id: str) -> JobStatus:
     """Re-prioritise a job. A running one makes room for a waiting one of higher priority."""
-    return job_status(service_of(request).prioritize(job_id, change.priority))
+    service = service_of(request)
+    limit = service.settings.max_body_bytes
+    change = await read_json(request, limit, lambda body: parse_change(body, limit))
+    return job_status(await run_in_threadpool(service.prioritize, job_id, change.priority))
 
 
 @router.post("/jobs/{job_id}/cancel", responses=_ON_JOB)

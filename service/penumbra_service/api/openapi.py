@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from penumbra_scene.job import JobRequest
+from penumbra_scene.errors import MEDIA_TYPE
+from penumbra_scene.job import JobChange, JobRequest
 
 _REFS: Final = "#/components/schemas/{model}"
 
@@ -49,6 +50,22 @@ JOB_BODY: Final[dict[str, Any]] = {
     }
 }
 
+CHANGE_BODY: Final[dict[str, Any]] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": JobChange.model_json_schema()}},
+    }
+}
+_REFUSED: Final = {
+    "401": "The service needs an API key",
+    "403": "Not under this name, or not from this page",
+    "404": "There is no such thing, or not yet",
+    "413": "The body is too long",
+    "415": "The body is of another media type",
+    "416": "The range lies outside",
+    "422": "Something in the request is not valid; `errors` says what",
+}
+
 
 def install(app: FastAPI) -> None:
     """Has the application describe itself with these additions."""
@@ -75,4 +92,28 @@ def _described(app: FastAPI) -> dict[str, Any]:
     components["schemas"] = {**models, **components.get("schemas", {})}
     components["securitySchemes"] = {"apiKey": {"type": "http", "scheme": "bearer"}}
     schema["security"] = [{}, {"apiKey": []}]
+    _add_refusals(schema["paths"])
     return schema
+
+
+def _add_refusals(paths: dict[str, Any]) -> None:
+    """Answers that come from before or behind the routes: every one is a Problem."""
+    content = {MEDIA_TYPE: {"schema": {"$ref": _REFS.format(model="Problem")}}}
+    for path, operations in paths.items():
+        for method, operation in operations.items():
+            for status in _refusals(path, method, operation["responses"]):
+                described = operation["responses"].get(status, {}).get("description", _REFUSED[status])
+                operation["responses"][status] = {"description": described, "content": content}
+
+
+def _refusals(path: str, method: str, known: dict[str, Any]) -> set[str]:
+    found = {"403", *({"422"} & known.keys())}
+    if not path.startswith("/health"):
+        found.add("401")
+    if "{" in path and method == "get":
+        found.add("404")
+    if path.endswith((".exr", ".png", "receipt.json", "/content")):
+        found.add("416")
+    if path.startswith("/v1/assets") and method in ("post", "put"):
+        found |= {"413", "415", "422"}
+    return found

@@ -100,7 +100,25 @@ def _item(entry: Mapping[str, Any]) -> ProblemItem:
     if where == "body":
         return ProblemItem(pointer="".join(f"/{part}" for part in path), message=message, given=given)
     name = "/".join(str(part) for part in path)
-    return ProblemItem(pointer="", message=f"{where} parameter {name}: {message}", given=given)
+    return ProblemItem(
+        pointer="", message=f"{where} parameter {name}: {message}", given=given, accepted=_accepted(entry)
+    )
+
+
+def _accepted(entry: Mapping[str, Any]) -> str:
+    """What a parameter may be, of the kinds that routes have."""
+    context = entry.get("ctx", {})
+    plain = {"int_parsing": "a whole number", "missing": "a value"}
+    told = {
+        "ge": "a number of at least {}",
+        "le": "a number of at most {}",
+        "expected": "{}",
+        "pattern": "text matching {}",
+        "min_length": "at least {} characters",
+        "max_length": "at most {} characters",
+    }
+    words = [text.format(context[key]) for key, text in told.items() if key in context]
+    return plain.get(str(entry["type"]), ", ".join(words))
 
 
 async def _missing(_request: Request, error: Exception) -> Response:

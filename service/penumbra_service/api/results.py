@@ -8,6 +8,8 @@ from typing import Final
 from fastapi import APIRouter, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.responses import MalformedRangeHeader, RangeNotSatisfiable
 
 from penumbra_service.api.jobs import service_of
 from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
@@ -84,11 +86,26 @@ def _answer(request: Request, service: RenderService, job_id: str, name: str) ->
     if _known(request, etag):
         return Response(status_code=304, headers=headers)
     if path is not None:
-        return FileResponse(path, headers=headers, media_type=_MEDIA[name])
+        return RangedFile(path, headers=headers, media_type=_MEDIA[name])
     headers["Content-Length"] = str(info.size)
     if request.method == "HEAD":
         return Response(headers=headers, media_type=_MEDIA[name])
     return StreamingResponse(service.artifacts.read(job_id, name), headers=headers, media_type=_MEDIA[name])
+
+
+class RangedFile(FileResponse):
+    """A file by ranges, whose refusals are problems, too."""
+
+    @classmethod
+    def _parse_range_header(cls, http_range: str, file_size: int) -> list[tuple[int, int]]:
+        try:
+            return super()._parse_range_header(http_range, file_size)
+        except RangeNotSatisfiable:
+            detail = f"given {http_range[:80]!r}, accepted: bytes of 0 to {file_size - 1}"
+            raise HTTPException(416, detail, {"Content-Range": f"bytes */{file_size}"}) from None
+        except MalformedRangeHeader as error:
+            detail = f"Range: given {http_range[:80]!r}, accepted: such as bytes=0-99 ({error.content})"
+            raise HTTPException(400, detail) from None
 
 
 def _known(request: Request, etag: str) -> bool:

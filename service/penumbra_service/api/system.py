@@ -41,12 +41,14 @@ class WorkerPage(BaseModel):
 
 
 @router.get("/v1/devices")
+@router.head("/v1/devices", include_in_schema=False)
 def devices(request: Request) -> DevicePage:
     """The OpenCL devices that render."""
     return DevicePage(items=tuple(service_of(request).runner.devices()))
 
 
 @router.get("/v1/workers")
+@router.head("/v1/workers", include_in_schema=False)
 def workers(request: Request) -> WorkerPage:
     """The machines that render: one, until there is a farm."""
     found = service_of(request).runner.devices()
@@ -70,6 +72,7 @@ def schema(name: str) -> JSONResponse:
 
 
 @router.get("/health")
+@router.head("/health", include_in_schema=False)
 def health(request: Request) -> Health:
     """Whether the service is well, in words. Callers who should have shown a key learn no more than that."""
     found = _health(service_of(request))

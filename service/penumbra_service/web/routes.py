@@ -97,6 +97,7 @@ def _no_such_job(request: Request, job_id: str) -> Response:
 
 
 @router.get("/")
+@router.head("/")
 def home() -> Response:
     """The first page is that of the jobs."""
     return RedirectResponse("/jobs", 303)

@@ -203,3 +203,58 @@ def test_a_mistake_of_the_service_is_a_problem_without_secrets(settings: Setting
         app.state.service.jobs.page = None
         problem = problem_of(client.get("/v1/jobs"), 500)
         assert "NoneType" not in problem.model_dump_json()
+
+
+def test_a_change_of_a_job_is_told_what_is_accepted(client: TestClient, scene: dict[str, Any]) -> None:
+    job = client.post("/v1/jobs", json=scene).json()["id"]
+    (unknown, missing) = problem_of(client.patch(f"/v1/jobs/{job}", json={"prio": 5}), 422).errors[::-1]
+    assert (missing.pointer, missing.message, missing.given) == ("/priority", "is missing", "nothing")
+    assert (unknown.pointer, unknown.accepted) == ("/prio", "the keys priority (did you mean this?)")
+    (high,) = problem_of(client.patch(f"/v1/jobs/{job}", json={"priority": 101}), 422).errors
+    assert high.accepted == "a whole number at least -100, at most 100"
+
+
+@pytest.mark.parametrize(
+    ("address", "accepted"),
+    [
+        ("/v1/jobs?limit=0", "a number of at least 1"),
+        ("/v1/jobs?limit=x", "a whole number"),
+        ("/v1/jobs?state=foo", "'paused'"),
+        ("/v1/assets/nope", "[0-9a-f]{64}"),
+    ],
+)
+def test_parameters_are_told_what_is_accepted(client: TestClient, address: str, accepted: str) -> None:
+    (item,) = problem_of(client.get(address), 422).errors
+    assert accepted in item.accepted
+    assert "parameter" in item.message
+
+
+def test_ranges_are_refused_as_problems(
+    client: TestClient, scene: dict[str, Any], runner: Any, wait_for: Any
+) -> None:
+    job = client.post("/v1/jobs", json=scene).json()
+    runner.let()
+    wait_for(job["id"], "done")
+    beyond = client.get(job["links"]["exr"], headers={"Range": "bytes=5000-"})
+    assert problem_of(beyond, 416).type.endswith("range-not-satisfiable")
+    assert beyond.headers["content-range"] == "bytes */3000"
+    problem_of(client.get(job["links"]["exr"], headers={"Range": "lines=1-2"}), 400)
+
+
+def test_the_api_says_how_it_refuses(client: TestClient) -> None:
+    paths = client.get("/openapi.json").json()["paths"]
+    assert {"404", "416", "401", "403"} <= paths["/v1/jobs/{job_id}/result.exr"]["get"]["responses"].keys()
+    assert {"413", "415", "422"} <= paths["/v1/assets"]["post"]["responses"].keys()
+    for operations in paths.values():
+        for operation in operations.values():
+            for status, answer in operation["responses"].items():
+                if status in ("401", "403", "404", "413", "415", "416", "422"):
+                    assert "Problem" in str(answer["content"]), (operation["operationId"], status)
+
+
+def test_head_answers_where_get_does(client: TestClient, scene: dict[str, Any]) -> None:
+    job = client.post("/v1/jobs", json=scene).json()["id"]
+    for path in (f"/v1/jobs/{job}", "/v1/jobs", "/v1/devices", "/health", "/"):
+        answer = client.head(path, follow_redirects=False)
+        assert answer.status_code == client.get(path, follow_redirects=False).status_code, path
+        assert answer.content == b""
