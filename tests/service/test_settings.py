@@ -13,9 +13,8 @@ DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "configuration.md"
 
 @pytest.mark.parametrize("name", [setting.name for setting in fields(Settings)])
 def test_every_setting_is_documented_with_its_variable_and_default(name: str) -> None:
-    rows = [
-        line for line in DOCUMENT.read_text().splitlines() if f"`{ENVIRONMENT_PREFIX}{name.upper()}`" in line
-    ]
+    begin = f"| `{ENVIRONMENT_PREFIX}{name.upper()}` |"
+    rows = [line for line in DOCUMENT.read_text().splitlines() if line.startswith(begin)]
     assert len(rows) == 1, f"{name} must have one row in docs/configuration.md"
     default = getattr(Settings(), name)
     if isinstance(default, (int, float)):

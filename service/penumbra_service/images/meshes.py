@@ -20,7 +20,7 @@ from trimesh.exchange import gltf, obj, ply
 from trimesh.scene.transforms import SceneGraph
 
 from penumbra_service.images.limits import DecodeLimits
-from penumbra_service.images.obj_indices import with_absolute_indices
+from penumbra_service.images.obj_indices import beyond_the_end, with_absolute_indices
 from penumbra_service.images.ply_polygons import with_equal_faces
 
 
@@ -40,13 +40,16 @@ def read_mesh(data: bytes, kind: str, limits: DecodeLimits) -> MeshData:
     parts = [part for part in readers[kind](data) if len(part.triangles)]
     if not parts:
         raise AssetError("the file has no faces")
-    return _checked(_joined(parts), limits, first=1 if kind == "obj" else 0)
+    return _checked(_joined(parts), limits)
 
 
 def _obj(data: bytes) -> list[Part]:
     # Without maintain_order a vertex is split wherever faces give it different normals or uvs.
     file = io.BytesIO(with_absolute_indices(data))
-    found = obj.load_obj(file, skip_materials=True, group_material=True, maintain_order=False)
+    try:
+        found = obj.load_obj(file, skip_materials=True, group_material=True, maintain_order=False)
+    except IndexError:
+        raise AssetError(beyond_the_end(data)) from None
     return [_part(piece) for piece in found.get("geometry", {"": found}).values() if "faces" in piece]
 
 
@@ -160,8 +163,7 @@ def _joined(parts: list[Part]) -> Part:
     )
 
 
-def _checked(part: Part, limits: DecodeLimits, first: int = 0) -> MeshData:
-    """`first`: from which number the format counts vertices."""
+def _checked(part: Part, limits: DecodeLimits) -> MeshData:
     count = len(part.positions)
     if len(part.triangles) > limits.triangles:
         raise AssetError(
@@ -171,9 +173,7 @@ def _checked(part: Part, limits: DecodeLimits, first: int = 0) -> MeshData:
         raise AssetError(f"the file has {count} vertices; at most {limits.vertices} are accepted")
     low, high = int(part.triangles.min()), int(part.triangles.max())
     if low < 0 or high >= count:
-        wrong = (low if low < 0 else high) + first
-        accepted = f"{first} to {count - 1 + first}"
-        raise AssetError(f"a face refers to vertex {wrong}, but there are only {count}: {accepted}")
+        raise AssetError(f"a face refers to vertex {low if low < 0 else high}, but there are only {count}")
     _check_finite("positions", part.positions)
     if part.uvs is not None:
         _check_finite("texture coordinates", part.uvs)

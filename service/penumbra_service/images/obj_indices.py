@@ -49,3 +49,16 @@ def _corner(word: bytes, counts: dict[bytes, int], line: int) -> bytes:
                 )
             parts[i] = b"%d" % index
     return b"/".join(parts)
+
+
+def beyond_the_end(data: bytes) -> str:
+    """Which face refers to what the whole file does not have, counted as the file does: from 1."""
+    lines = [line.split() for line in data.split(b"\n")]
+    counts = {kind: sum(words[:1] == [kind] for words in lines) for kind in _KINDS}
+    for number, words in enumerate(lines):
+        for word in words[1:] if words[:1] == [b"f"] else ():
+            for part, kind in zip(word.split(b"/"), _KINDS, strict=False):
+                if part.isdigit() and int(part) > counts[kind]:
+                    what = f"{kind.decode()} {int(part)}"
+                    return f"line {number + 1} refers to {what}, but there are only {counts[kind]} of them"
+    return "a face refers to what is not there"

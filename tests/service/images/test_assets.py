@@ -272,7 +272,9 @@ def test_radiance_hdr_is_read(image_of: Any, tmp_path: Path) -> None:
 
 def test_the_decoding_process_tells_what_is_wrong(tmp_path: Path) -> None:
     (tmp_path / "m.obj").write_text(OBJ + "f 1 2 9\n")
-    with pytest.raises(AssetError, match="not a valid file"):
+    line = OBJ.count("\n") + 1
+    told = f"line {line} refers to v 9, but there are only {line - 1} of them"  # OBJ counts from 1
+    with pytest.raises(AssetError, match=told):
         FolderAssets(tmp_path / "a", tmp_path).mesh(AssetRef(file="m.obj"))
 
 
