@@ -203,9 +203,12 @@ def served(tmp_path: Path) -> Iterator[Served]:
     served.stop()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Debian's chromium. Its tests are skipped by name without it, unless tools are demanded."""
+    """Debian's chromium. Its tests are skipped by name without it, unless tools are demanded.
+
+    Ended with the module: Playwright's event loop would keep later tests from running one of their own.
+    """
     if CHROMIUM is None:
         if os.environ.get("PENUMBRA_REQUIRE_TOOLS") == "1":
             pytest.fail("chromium is missing: apt-get install chromium")

@@ -78,6 +78,14 @@ static inline float4 take_sample(const SceneData *scene, const __global Params *
   return (float4)(c * weight, path->alpha * weight);
 }
 
+// The plane-wide random sampler takes several paths a sample index: their layers add up, the object is the last one's.
+static inline void add_layers(PathSample *sum, const PathSample *path) {
+  sum->albedo += path->albedo;
+  sum->normal += path->normal;
+  sum->depth += path->depth;
+  sum->object_id = path->object_id;
+}
+
 static inline void gather_layers(Gather *gather, const uint i, const PathSample *path) {
 #if PENUMBRA_LAYERS
   tree_add(gather->albedo_depth, i, (float4)(path->albedo, path->depth));
@@ -105,12 +113,12 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
     const uint count = counts[((ulong)replicate * params->sample_count + i) * pixels + pixel];
     float4 value = (float4)(0.0f);
-    path.albedo = path.normal = (float3)(0.0f);
-    path.depth = 0.0f;
-    path.object_id = 0u;
+    path = no_path();
     for (uint k = 0; k < count; k++) {
+      PathSample one;
       sampler_next_of(&sampler, params->first_sample + i, k);
-      value += take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
+      value += take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &one);
+      add_layers(&path, &one);
     }
 #else
     sampler_next(&sampler, params->first_sample + i);

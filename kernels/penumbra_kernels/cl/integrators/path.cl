@@ -14,6 +14,18 @@ typedef struct {
   uint effects;      // EFFECT_* bits met on the way
 } PathSample;
 
+static inline PathSample no_path(void) {
+  PathSample none;
+  none.radiance = (float3)(0.0f);
+  none.alpha = 0.0f;
+  none.albedo = (float3)(0.0f);
+  none.normal = (float3)(0.0f);
+  none.depth = 0.0f;
+  none.object_id = 0u;
+  none.effects = 0u;
+  return none;
+}
+
 // Weight of light met by a lobe's ray: against the light samples of the hit before, whose expected number is `chance`.
 static inline float hit_weight(const __global Params *params, const bool delta, const float lobe_pdf, const float light_pdf,
                                const float chance) {
@@ -47,14 +59,7 @@ static inline bool roulette(const __global Params *params, const Sampler *sample
 
 static inline PathSample trace_path(const SceneData *scene, const __global Params *params, const Sampler *sampler,
                                     Ray ray) {
-  PathSample result;
-  result.radiance = (float3)(0.0f);
-  result.alpha = 0.0f;
-  result.albedo = (float3)(0.0f);
-  result.normal = (float3)(0.0f);
-  result.depth = 0.0f;
-  result.object_id = 0u;
-  result.effects = 0u;
+  PathSample result = no_path();
   const bool mis = (params->options & OPTION_NO_MIS) == 0u;
 
   float3 beta = (float3)(1.0f);

@@ -3,20 +3,23 @@
 
 (() => {
   const SHORTEST = 800; // milliseconds between two refreshes of one element
-  const due = new Map(); // element -> timer or time of its last refresh
+  const due = new Map(); // element's id, or the element where it has none -> timer and time of its last refresh
   let source = null;
 
-  // Asks htmx to fetch `element` again, now or as soon as its last refresh is long enough ago.
+  // Asks htmx to fetch `element` again, now or as soon as its last refresh is long enough ago. A refresh that is under
+  // way may put another element with the same id in its place: then that one is meant.
   function refresh(element) {
-    const state = due.get(element) || { last: 0, timer: 0 };
-    due.set(element, state);
+    const key = element.id || element;
+    const state = due.get(key) || { last: 0, timer: 0 };
+    due.set(key, state);
     if (state.timer) return;
     const wait = Math.max(0, state.last + SHORTEST - Date.now());
     state.timer = setTimeout(() => {
+      const present = element.isConnected ? element : element.id && document.getElementById(element.id);
       state.timer = 0;
       state.last = Date.now();
-      if (element.isConnected) htmx.trigger(element, "refresh");
-      else due.delete(element);
+      if (present) htmx.trigger(present, "refresh");
+      else due.delete(key);
     }, wait);
   }
 
