@@ -7,7 +7,8 @@ first device is asked for.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from platform import machine
 from typing import TYPE_CHECKING, Any, Final
@@ -160,26 +161,43 @@ class Device:
         if data.size < 16:
             data = np.concatenate([data, np.zeros(16 - data.size, np.uint8)])
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=data)
+        with self._driver(f"copying {data.size} bytes to the device"):
+            return cl.Buffer(self.context, flags, hostbuf=data)
 
     def allocate(self, size: int) -> cl.Buffer:
         """A read-write buffer of `size` bytes, its content undefined."""
         import pyopencl as cl
 
-        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
+        with self._driver(f"allocating {size} bytes"):
+            return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size=max(size, 16))
 
     def launch(self, kernel: cl.Kernel, arguments: Sequence[Any], count: int, local: int) -> None:
-        """Run `count` work-items in groups of `local`, and wait. The caller keeps the argument buffers alive."""
+        """Run `count` work-items (more than none) in groups of `local`, and wait.
+
+        The caller keeps the argument buffers alive.
+        """
         import pyopencl as cl
 
-        kernel.set_args(*arguments)
-        cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,)).wait()
+        with self._driver(f"running {kernel.function_name} over {count} work-items"):
+            kernel.set_args(*arguments)
+            cl.enqueue_nd_range_kernel(self.queue, kernel, (count,), (local,)).wait()
 
     def download(self, buffer: cl.Buffer, out: np.ndarray[Any, Any]) -> None:
         """Fill a contiguous array from a buffer; waits for the queue."""
         import pyopencl as cl
 
-        cl.enqueue_copy(self.queue, out, buffer)
+        with self._driver(f"copying {out.nbytes} bytes from the device"):
+            cl.enqueue_copy(self.queue, out, buffer)
+
+    @contextmanager
+    def _driver(self, what: str) -> Iterator[None]:
+        """Turn the driver's errors into DeviceError."""
+        import pyopencl as cl
+
+        try:
+            yield
+        except cl.Error as error:
+            raise DeviceError(f"{self.info.id} ({self.info.name}) failed {what}: {error}") from error
 
 
 def _portable() -> bool:

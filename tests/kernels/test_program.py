@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from penumbra_kernels import layout
-from penumbra_kernels.device import BuildError, Device
+from penumbra_kernels.device import BuildError, Device, DeviceError
 from penumbra_kernels.program import CL_ROOT, assemble
 from penumbra_kernels.tracer import ARGUMENTS
 
@@ -77,3 +77,8 @@ __kernel void k(const __global {name} *s, __global uint *out) {{ out[0] = sizeof
 def test_arguments_are_named_once() -> None:
     names = [name for name, _ in ARGUMENTS]
     assert len(names) == len(set(names))
+
+
+def test_what_the_driver_refuses_is_told_as_the_devices_failure(device: Device) -> None:
+    with pytest.raises(DeviceError, match=rf"{device.info.id} .*failed allocating"):
+        device.allocate(1 << 50)
