@@ -17,6 +17,6 @@ pin() {
 }
 
 upgrade=("$@")
-pin requirements.lock service cpu dev
+pin requirements.lock service cpu plots farm dev
 upgrade=(--constraint requirements.lock)
-pin requirements-service.lock service cpu
+pin requirements-service.lock service cpu plots farm
