@@ -29,7 +29,7 @@ def folder() -> Path:
 
 def key(source: str, options: Sequence[str], device: DeviceInfo) -> str:
     """SHA-256 of the flattened source, build options, device, driver and platform."""
-    parts = [source, list(options), device.name, device.driver, device.platform, device.platform_version]
+    parts = [source, list(options), device.platform, device.bit_class]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from penumbra_kernels import cache
+from penumbra_kernels.pocl_target import UNKNOWN, name_target
 from penumbra_kernels.program import BUILD_OPTIONS, assemble
 
 if TYPE_CHECKING:
@@ -46,11 +47,13 @@ class DeviceInfo:
     compute_units: int
     memory_bytes: int
     max_allocation_bytes: int
+    target: str = ""
+    """The instruction set that a CPU's programs are compiled for, in LLVM's names; empty where the driver does not say."""
 
     @property
     def bit_class(self) -> str:
         """Devices of one bit class give the same bits for the same program (with its hash)."""
-        return f"{self.platform_version}|{self.driver}|{self.name}"
+        return "|".join(filter(None, (self.platform_version, self.driver, self.name, self.target)))
 
 
 def _platform_key(name: str) -> str:
@@ -73,7 +76,17 @@ def _describe(device: cl.Device, platform: cl.Platform, number: int) -> DeviceIn
         compute_units=device.max_compute_units,
         memory_bytes=device.global_mem_size,
         max_allocation_bytes=device.max_mem_alloc_size,
+        target=_target(device),
     )
+
+
+def _target(device: cl.Device) -> str:
+    """PoCL's version ends in the triple and the processor it compiles for: `HSTR: pthread-<triple>-<processor>`."""
+    _, told, host = device.version.partition("HSTR: ")
+    if not told:
+        return ""
+    name = host.rpartition("linux-gnu-")[2].strip()
+    return (name_target(device.int_ptr) or name) if name == UNKNOWN.decode() else name
 
 
 def _enumerate() -> list[tuple[DeviceInfo, Any]]:
