@@ -24,7 +24,7 @@ _RECORD_BYTES: Final = 1024
 """The pair is at byte 632 in PoCL 3.0; the record is longer than this."""
 _WORD: Final = struct.Struct("=Q")
 
-TARGETS: Final = (
+TARGETS: Final[tuple[tuple[str, frozenset[str]], ...]] = (
     ("skylake-avx512", frozenset({"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "fma"})),
     ("haswell", frozenset({"avx2", "fma", "bmi1", "bmi2", "f16c", "movbe"})),
     ("x86-64", frozenset()),
@@ -71,7 +71,7 @@ class Reader:
     def __init__(self) -> None:
         self._file = os.open("/proc/self/mem", os.O_RDONLY)
 
-    def bytes(self, address: int, count: int) -> bytes:
+    def data(self, address: int, count: int) -> bytes:
         """Up to `count` bytes; empty where nothing is mapped."""
         try:
             return os.pread(self._file, count, address)
@@ -80,7 +80,7 @@ class Reader:
 
     def string(self, address: int) -> bytes:
         """What a C string of at most 63 bytes holds; empty where there is none."""
-        data, end, _ = self.bytes(address, 64).partition(b"\0")
+        data, end, _ = self.data(address, 64).partition(b"\0")
         return data if end else b""
 
     def close(self) -> None:
@@ -98,7 +98,7 @@ def name_target(device_address: int) -> str | None:
         return None
     reader = Reader()
     try:
-        offset = find_unknown(reader.bytes(device_address, _RECORD_BYTES), reader)
+        offset = find_unknown(reader.data(device_address, _RECORD_BYTES), reader)
     finally:
         reader.close()
     if offset is None:
