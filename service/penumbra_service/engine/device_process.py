@@ -38,9 +38,8 @@ from penumbra_service.engine.protocol import (
     SceneLoaded,
     Started,
 )
+from penumbra_service.jobs.dispatch import SCENES_KEPT
 
-SCENES_KEPT: Final = 4
-"""Loaded scenes; the least recently used one goes first."""
 HEARTBEAT_SECONDS: Final = 2.0
 _PR_SET_PDEATHSIG: Final = 1
 

@@ -8,7 +8,6 @@ while holding a lock.
 
 from __future__ import annotations
 
-import itertools
 import json
 import logging
 import math
@@ -35,7 +34,8 @@ from penumbra_service.engine.protocol import (
     SceneLoaded,
     Started,
 )
-from penumbra_service.engine.slot import IN_FLIGHT, DeviceSlot
+from penumbra_service.engine.slot import DeviceSlot
+from penumbra_service.jobs.dispatch import IN_FLIGHT, Dispatcher
 
 log = logging.getLogger(__name__)
 
@@ -85,8 +85,7 @@ class LocalEngine:
         self._device_ids = device_ids
         self._command = tuple(command)
         self._slots: list[DeviceSlot] = []
-        self._sources: dict[LeaseSource, int] = {}
-        self._numbers = itertools.count()
+        self._dispatcher: Dispatcher[LeaseSource] = Dispatcher()
         self._lock = threading.Lock()
         self._wake_reader, self._wake_writer = Pipe(duplex=False)
         self._thread: threading.Thread | None = None
@@ -119,13 +118,13 @@ class LocalEngine:
         """Start to ask a job for leases. Where there is no device, it hears of it as soon as that is
         known."""
         with self._lock:
-            self._sources[source] = next(self._numbers)
+            self._dispatcher.attach(source)
         self.wake()
 
     def detach(self, source: LeaseSource) -> None:
         """Ask it no more; answers to its leases are thrown away."""
         with self._lock:
-            self._sources.pop(source, None)
+            self._dispatcher.detach(source)
 
     def wake(self) -> None:
         """Jobs may have new leases."""
@@ -198,18 +197,18 @@ class LocalEngine:
                     slot.start_at = now + 5.0
                     slot.last_reason = f"the process of device {slot.description.id} cannot start: {error}"
 
-    def _ordered(self) -> list[LeaseSource]:
+    def _ordered(self, device: str = "") -> list[LeaseSource]:
         with self._lock:
-            return sorted(self._sources, key=lambda source: (-source.priority, self._sources[source]))
+            return self._dispatcher.order(device)
 
     def _attached(self, source: LeaseSource) -> bool:
         with self._lock:
-            return source in self._sources
+            return source in self._dispatcher
 
     def _feed(self) -> None:
-        sources = self._ordered()
-        if not sources:
-            return
+        with self._lock:
+            if not len(self._dispatcher):
+                return
         if all(slot.lost for slot in self._slots):
             self._give_up(self._problem or "; ".join(slot.last_reason for slot in self._slots))
             return
@@ -217,13 +216,15 @@ class LocalEngine:
         for _ in range(IN_FLIGHT):
             for slot in self._slots:
                 if slot.ready and len(slot.held) < IN_FLIGHT:
-                    self._feed_one(slot, sources)
+                    self._feed_one(slot)
 
-    def _feed_one(self, slot: DeviceSlot, sources: list[LeaseSource]) -> None:
-        for source in sources:
+    def _feed_one(self, slot: DeviceSlot) -> None:
+        for source in self._ordered(slot.description.id):
             lease = source.next_lease(slot.description)
             if lease is None:
                 continue
+            with self._lock:
+                self._dispatcher.gave(slot.description.id, source)
             try:
                 slot.send(lease, source)
             except OSError:
@@ -287,6 +288,8 @@ class LocalEngine:
         running = slot.running
         why = slot.end(reason)
         log.warning("%s", why)
+        with self._lock:
+            self._dispatcher.forget(slot.description.id)
         held = dict(slot.held)
         slot.held.clear()
         for lease_id, entry in held.items():

@@ -15,6 +15,7 @@ from typing import Protocol
 from penumbra_kernels.nodes import SumNode
 
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
+from penumbra_service.jobs.dispatch import Bidder
 from penumbra_service.jobs.planning import WorkItem
 
 
@@ -156,14 +157,9 @@ FromDevice = Hello | Started | SceneLoaded | LeaseResult | LeaseFailure | Heartb
 ToJob = SceneLoaded | LeaseResult | LeaseFailure | LeaseLost | NoDevice
 
 
-class LeaseSource(Protocol):
-    """A job as an engine sees it. Both methods are called on the engine's thread and must return at once."""
-
-    @property
-    def job(self) -> str: ...
-
-    @property
-    def priority(self) -> int: ...
+class LeaseSource(Bidder, Protocol):
+    """A job, or a frame of one, as an engine sees it. Everything is called on the engine's thread and must return
+    at once; whose turn it is says jobs.dispatch.Dispatcher."""
 
     def next_lease(self, device: DeviceDescription) -> Lease | None:
         """Work for a device, or None."""

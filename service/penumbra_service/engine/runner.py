@@ -46,6 +46,7 @@ from penumbra_service.film.replicates import choose_layout
 from penumbra_service.film.stop import MIN_CHECK_SAMPLES, StopRule
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.batches import Batches
+from penumbra_service.jobs.dispatch import gain_of
 from penumbra_service.jobs.life import DeviceCrashed, Life, SceneReady, StopReached, WentWrong, step
 from penumbra_service.jobs.planning import WorkItem
 from penumbra_service.jobs.record import DeviceUse, Effect, Foretold, RunRecord
@@ -100,15 +101,18 @@ class JobRunner:
             stop.confidence,
         )
         self._spec = self._make_spec()
-        self._key = f"{self._spec.key}-{kernel_hash()}"
+        self._scene = self._spec.key
+        self._key = f"{self._scene}-{kernel_hash()}"
         self._store = FolderTileStore(task.folder / "tiles")
         self._record = RunRecord()
         self._life = Life(JobState.COMPILING)
+        self._theta = 1.0
         self._inbox: queue.SimpleQueue[tuple[DeviceDescription, ToJob] | None] = queue.SimpleQueue()
         self._halt: Halt | None = None
         self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
         self._desk = LeaseDesk(task.job, self._spec, hungry=lambda: self._inbox.put(None))
+        self._bid()
 
     @property
     def job(self) -> str:
@@ -117,6 +121,15 @@ class JobRunner:
     @property
     def priority(self) -> int:
         return self._task.priority
+
+    @property
+    def scene(self) -> str:
+        return self._scene
+
+    @property
+    def gain(self) -> float:
+        """By the newest error that is known (jobs.dispatch)."""
+        return self._gain
 
     def halt(self, reason: Halt) -> None:
         """Ask the run to end; it does within a moment, and devices are through with it within two leases."""
@@ -249,6 +262,13 @@ class JobRunner:
         before = self._canvas.samples
         self._canvas.take(result.nodes)
         self._pace.deliver(self._clock.seconds, self._canvas.samples - before)
+        self._bid()
+
+    def _bid(self) -> None:
+        """What a second of a device is worth here, after what it has cost so far."""
+        points = self._record.points
+        error = points[-1].relmse if points else math.nan
+        self._gain = gain_of(error, self._theta, self._record.trace_seconds)
 
     def _take_scene(self, device: DeviceDescription, loaded: SceneLoaded) -> None:
         record = self._record
@@ -307,6 +327,7 @@ class JobRunner:
             if not self._canvas.complete:
                 return None
             reason = self._canvas.check(self._clock.seconds, self._rule.confidence)
+            self._theta = fit_theta(self._record.points).theta
             self._tell(force=True)
             if reason is not None:
                 return reason

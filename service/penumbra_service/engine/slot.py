@@ -22,8 +22,6 @@ from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseSour
 
 log = logging.getLogger(__name__)
 
-IN_FLIGHT: Final = 2
-"""Leases that a device holds: with one it idles while the answer travels."""
 SCENE_SECONDS: Final = 900.0
 """A device may take so long to load a scene: decoding, building trees over 50 million triangles,
 compiling."""

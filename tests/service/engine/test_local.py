@@ -72,9 +72,11 @@ def test_a_process_that_cannot_list_devices_is_no_crash():
 class _Source:
     """Hands out one lease for ever."""
 
-    job = "j"
+    scene = "s"
+    gain = 1.0
 
     def __init__(self, priority: int, scene: Path) -> None:
+        self.job = f"j{priority}"
         self.priority = priority
         self.asked = 0
         self.events: list[ToJob] = []
@@ -107,7 +109,7 @@ def test_the_more_urgent_job_goes_first_and_two_leases_are_in_flight(make_task, 
         most = max(most, len(engine._slots[0].held) if engine._slots else 0)
         time.sleep(0.005)
     assert engine.devices()[0].state is DeviceState.BUSY
-    assert engine.devices()[0].job == "j"
+    assert engine.devices()[0].job == "j5"
     engine.detach(urgent)
     engine.detach(calm)
     assert most == 2
