@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ from penumbra_scene.shapes import Instance, Mesh, Plane, Shape, Sphere
 from penumbra_scene.textures import ImageTexture
 from penumbra_scene.transforms import Keyframes, Step
 
+_SEEN: Final = ("camera", "textures", "materials", "prototypes", "shapes", "lights", "environment")
+"""Sections of a scene that are looked at, whoever samples them."""
 _PIXEL_BOX: Final = 0.5
 """Radius of the box filter that is exactly one pixel."""
 _UNIFORM: Final = 1e-5
@@ -321,7 +324,27 @@ def scene_hash(scene: Scene) -> str:
     Every default is written out, keys stand in the contract's order, the scene's own names are sorted, and
     -0 is 0: two documents that mean the same have the same hash.
     """
+    return "sha256:" + hashlib.sha256(_canonical(scene)).hexdigest()
+
+
+def picture_hash(scene: Scene, time: float = 0.0) -> str:
+    """'sha256:...' of what decides the picture that a render converges to, `time` seconds into the scene.
+
+    Left out are the name, the sampler with its seed, the stop rule, how the estimator goes about it, and how
+    the picture is stored: renders that differ in these alone estimate the same pixels.
+    """
+    document = json.loads(_canonical(scene))
+    film = document["film"]
+    parts = {
+        "time": time + 0.0,
+        "film": {key: film[key] for key in ("width", "height", "crop", "filter")},
+        "max_bounces": document["integrator"]["max_bounces"],
+        **{key: document[key] for key in _SEEN},
+    }
+    return "sha256:" + hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _canonical(scene: Scene) -> bytes:
     tables = ("textures", "materials", "prototypes")
     ordered = scene.model_copy(update={key: dict(sorted(getattr(scene, key).items())) for key in tables})
-    text = _NEGATIVE_ZERO.sub(b"0.0", ordered.model_dump_json().encode("utf-8"))
-    return "sha256:" + hashlib.sha256(text).hexdigest()
+    return _NEGATIVE_ZERO.sub(b"0.0", ordered.model_dump_json().encode("utf-8"))

@@ -138,6 +138,9 @@ class Receipt(Model):
     """Of this package and of what it stands on."""
     scene_hash: str
     """sha256:..., of the scene as rendered in canonical JSON."""
+    picture_hash: str | None = None
+    """sha256:..., of what decides the picture that a render converges to: renders that differ in sampler, seed or
+    stop rule have the same, and `penumbra merge` takes them together."""
     program_hash: str | None = None
     """Of the kernel's text and all that its build depends on."""
     kernel_hash: str | None = None

@@ -24,6 +24,7 @@ from penumbra_scene.receipt import Receipt
 
 from penumbra_service.commands import CommandError
 from penumbra_service.engine.local import LocalEngine, NoDeviceError, list_devices
+from penumbra_service.engine.protocol import Engine
 from penumbra_service.engine.runner import Failure, JobRunner, RenderTask
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.jobs.receipt import ReceiptContext
@@ -85,20 +86,21 @@ def render(
             engine.wait_known()
         except NoDeviceError as error:
             raise CommandError(str(error), Exit.DEVICE) from error
-        receipt = _render(engine, request, folder, Path(work), report)
+        receipt = render_on(engine, request, folder, Path(work), report)
         for name in ALL:
             if (Path(work) / name).exists():
                 shutil.move(Path(work) / name, out / name)
     return receipt
 
 
-def _render(
-    engine: LocalEngine,
+def render_on(
+    engine: Engine,
     request: JobRequest,
     folder: Path,
     work: Path,
-    report: Callable[[ProgressEvent], None],
+    report: Callable[[ProgressEvent], None] = lambda event: None,
 ) -> Receipt:
+    """The same on an engine that runs already; results, snapshots and all lie in `work` afterwards."""
     scene = request.resolved_scene()
     started = datetime.now(UTC)
     latest = Latest()

@@ -110,6 +110,7 @@ def attributes(receipt: Receipt) -> dict[str, str | int | float]:
         "flaggedShare": receipt.counts.flagged_share,
         "rejectedSamples": str(receipt.counts.rejected),
         "sceneHash": receipt.scene_hash,
+        "pictureHash": receipt.picture_hash or "",
         "programHash": receipt.program_hash or "",
         "kernelHash": receipt.kernel_hash or "",
         "bitClass": receipt.bit_class,

@@ -8,7 +8,7 @@ from datetime import datetime
 from importlib import metadata
 from typing import Final
 
-from penumbra_scene.check import scene_hash
+from penumbra_scene.check import picture_hash, scene_hash
 from penumbra_scene.job import ErrorPoint, Interval, StopReason
 from penumbra_scene.receipt import (
     Counts,
@@ -59,6 +59,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         finished=context.finished,
         versions=versions(),
         scene_hash=scene_hash(scene),
+        picture_hash=picture_hash(scene, context.time),
         program_hash=record.program_hash,
         kernel_hash=record.kernel_hash,
         time=context.time,
