@@ -115,7 +115,8 @@ def devices() -> list[DeviceInfo]:
 class Device:
     """One opened OpenCL device: a context, an in-order queue, and the programs built on it."""
 
-    def __init__(self, device_id: str | None = None) -> None:
+    def __init__(self, device_id: str | None = None, tree: str | None = None) -> None:
+        """tree: 'wide' (eight lanes a ray: CPUs) or 'compact' (a thread a ray: GPUs); None: by the device's kind."""
         import pyopencl as cl
 
         found = _enumerate()
@@ -124,6 +125,8 @@ class Device:
             have = ", ".join(info.id for info, _ in found) or "none"
             raise DeviceError(f"no OpenCL device {device_id or ''!r}; this machine has: {have}")
         self.info, handle = matching[0]
+        self.tree = tree or ("compact" if self.info.kind == KIND_GPU else "wide")
+        self.options = _options(handle)
         self.context = cl.Context([handle])
         self.queue = cl.CommandQueue(self.context, handle)
         self.builds = 0
@@ -135,6 +138,7 @@ class Device:
         builtins = self.info.kind == KIND_CPU and not _portable()
         return {
             "PENUMBRA_DEVICE_GPU": int(self.info.kind == KIND_GPU),
+            "PENUMBRA_COMPACT_TREE": int(self.tree == "compact"),
             "PENUMBRA_BUILTINS": int(builtins),
             # An OpenCL CPU is this machine's; its name tells a model, not always the instruction set.
             "PENUMBRA_X86": int(builtins and machine().lower() in ("x86_64", "amd64")),
@@ -145,18 +149,18 @@ class Device:
         import pyopencl as cl
 
         source = assemble(entry, {**flags, **self.flags}, text)
-        key = cache.key(source, BUILD_OPTIONS, self.info)
+        key = cache.key(source, self.options, self.info)
         binary = cache.load(key)
         if binary is not None:
             try:
                 known: cl.Program = cl.Program(self.context, self.context.devices, [binary])
-                known.build(list(BUILD_OPTIONS))
+                known.build(list(self.options))
                 return known
             except cl.Error:
                 cache.discard(key)
         try:
             program: cl.Program = cl.Program(self.context, source)
-            program.build(list(BUILD_OPTIONS))
+            program.build(list(self.options))
         except cl.Error as error:
             raise BuildError(
                 f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}"
@@ -211,6 +215,15 @@ class Device:
             yield
         except cl.Error as error:
             raise DeviceError(f"{self.info.id} ({self.info.name}) failed {what}: {error}") from error
+
+
+def _options(device: cl.Device) -> tuple[str, ...]:
+    """BUILD_OPTIONS, and IEEE division and square roots where those have to be asked for (OpenCL 1.2, section 7.4)."""
+    import pyopencl as cl
+
+    exact = device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+    asked = exact and device.type & cl.device_type.GPU
+    return (*BUILD_OPTIONS, "-cl-fp32-correctly-rounded-divide-sqrt") if asked else BUILD_OPTIONS
 
 
 def _portable() -> bool:

@@ -137,6 +137,31 @@ PACKET8: Final = np.dtype(
     ]
 )
 
+COMPACT_NODE: Final = np.dtype(
+    [
+        ("lo_x", np.uint8, (8,)),  # planes in steps of 2^(exponent - 127) from the origin
+        ("hi_x", np.uint8, (8,)),
+        ("lo_y", np.uint8, (8,)),
+        ("hi_y", np.uint8, (8,)),
+        ("lo_z", np.uint8, (8,)),
+        ("hi_z", np.uint8, (8,)),
+        ("child", np.uint32, (8,)),  # as NODE8's
+        ("origin", np.float32, (3,)),
+        ("exponents", np.uint32),  # x in bits 0-7, y in 8-15, z in 16-23
+    ]
+)
+
+COMPACT_TRIANGLE: Final = np.dtype(
+    [
+        ("v0", np.float32, (3,)),
+        ("v1", np.float32, (3,)),
+        ("v2", np.float32, (3,)),
+        ("primitive", np.uint32),
+        ("last", np.uint32),  # 1: the packet's other lanes repeat this one
+        ("pad0", np.uint32),
+    ]
+)
+
 SPHERE: Final = np.dtype(
     [
         ("center", np.float32, (3,)),
@@ -283,6 +308,8 @@ STRUCTS: Final[dict[str, np.dtype[Any]]] = {
     "Instance": INSTANCE,
     "Node8": NODE8,
     "Packet8": PACKET8,
+    "CompactNode": COMPACT_NODE,
+    "CompactTriangle": COMPACT_TRIANGLE,
     "SphereData": SPHERE,
     "DiscData": DISC,
     "PlaneData": PLANE,
@@ -349,6 +376,7 @@ CONSTANTS: Final[dict[str, int]] = {
 }
 
 _C_NAMES: Final = {
+    "uint8": "uchar",
     "float32": "float",
     "uint32": "uint",
     "int32": "int",

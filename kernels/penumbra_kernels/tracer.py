@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from penumbra_kernels.accel.compact import tree_arrays
 from penumbra_kernels.layout import CONSTANTS, LAYERS, SUM
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, merge
 
@@ -22,6 +23,10 @@ GROUP_SAMPLES: Final = 64
 """About as many samples a work-item of a CPU takes, over one or more (pixel, replicate) pairs: small groups spread evenly."""
 MAX_GROUPS: Final = 32768
 """PoCL compiles a kernel once more for grids of 65,535 and up, and once more for global offsets: neither is used."""
+FIRST_THREADS: Final = 4096
+"""Least work-items of a launch on a GPU, the first one's too: small ones leave it empty."""
+MAX_THREADS: Final = 1 << 22
+"""Work-items of one launch on a GPU: enough to fill any."""
 
 Flags = Mapping[str, int]
 
@@ -96,8 +101,9 @@ class Tracer:
         self.compile_seconds = time.perf_counter() - started
         self.compiled_cold = device.builds > builds
         started = time.perf_counter()
+        arrays = tree_arrays(compiled.arrays, device.flags)
         self._buffers = {
-            name: device.upload(compiled.arrays[name])
+            name: device.upload(arrays[name])
             for name, present in ARGUMENTS
             if present(self.flags) and name not in PER_LAUNCH
         }
@@ -156,7 +162,8 @@ class Tracer:
         at = 0
         while at < items:
             rate = self._items_per_second / sample_count
-            groups = MAX_GROUPS if cpu else min(max(int(rate * LAUNCH_SECONDS / per_group), 64), MAX_GROUPS)
+            most = max(int(rate * LAUNCH_SECONDS / per_group), FIRST_THREADS)
+            groups = MAX_GROUPS if cpu else min(most, MAX_THREADS)
             groups = -(-min(groups, -(-(items - at) // per_group)) // local) * local
             started = time.perf_counter()
             self.device.launch(self._kernel, [*arguments, np.uint32(at)], groups, local)

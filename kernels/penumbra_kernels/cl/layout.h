@@ -157,6 +157,29 @@ typedef struct {
 // sizeof(Packet8) == 320
 
 typedef struct {
+  uchar lo_x[8];
+  uchar hi_x[8];
+  uchar lo_y[8];
+  uchar hi_y[8];
+  uchar lo_z[8];
+  uchar hi_z[8];
+  uint child[8];
+  float origin[3];
+  uint exponents;
+} CompactNode;
+// sizeof(CompactNode) == 96
+
+typedef struct {
+  float v0[3];
+  float v1[3];
+  float v2[3];
+  uint primitive;
+  uint last;
+  uint pad0;
+} CompactTriangle;
+// sizeof(CompactTriangle) == 48
+
+typedef struct {
   float center[3];
   float radius;
   float frame[3];

@@ -149,7 +149,7 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
 }
 
 __kernel void trace(const __global Params *params, const __global float *filter_table,
-                    const __global float *shutter_table, const __global Node8 *nodes, const __global Packet8 *packets,
+                    const __global float *shutter_table, const __global TreeNode *nodes, const __global TreeTriangles *packets,
                     const __global ShapeData *shapes, const __global TriangleData *triangles,
                     const __global float *positions, const __global float *normals, const __global float *uvs,
                     const __global Material *materials, const __global Light *lights,

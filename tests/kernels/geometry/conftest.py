@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from penumbra_kernels.accel.compact import tree_arrays
 from penumbra_kernels.assets import Assets, MeshData, NoAssets
 from penumbra_kernels.compile.geometry import CompiledGeometry, compile_geometry
 from penumbra_kernels.device import Device
-from penumbra_kernels.program import BUILD_OPTIONS, assemble
+from penumbra_kernels.program import assemble
 from penumbra_scene.scene import Scene
 
 NONE = 0xFFFFFFFF
@@ -63,17 +64,19 @@ class Probe:
         import pyopencl as cl
 
         self.device = device
+        self.flags = device.flags if kind is None else kind
         flags = {f"PENUMBRA_{name}": effects.get(name, 1) for name in EFFECTS}
         text = Path(__file__).with_name("probe.cl").read_text()
-        source = assemble("probe.cl", {**flags, **(device.flags if kind is None else kind)}, text)
-        self.program = cl.Program(device.context, source).build(list(BUILD_OPTIONS))
+        source = assemble("probe.cl", {**flags, **self.flags}, text)
+        self.program = cl.Program(device.context, source).build(list(device.options))
         self.kernel = cl.Kernel(self.program, "probe")
 
     def trace(self, geometry: CompiledGeometry, rays: NDArray[Any], side: float = 1.0) -> NDArray[Any]:
         """Answers to rays (n, 8): origin, direction, tmax, time."""
         rays = np.ascontiguousarray(rays, np.float32)
         device = self.device
-        buffers = [device.upload(geometry.arrays[name]) for name in BUFFERS]
+        arrays = tree_arrays(geometry.arrays, self.flags)
+        buffers = [device.upload(arrays[name]) for name in BUFFERS]
         buffers += [device.upload(geometry.keyframes), device.upload(geometry.arrays["times"])]
         answers = np.zeros(len(rays), ANSWER)
         if not len(rays):

@@ -40,7 +40,7 @@ static inline void answer_nothing(__global Answer *a) {
 }
 
 // Rays: origin, direction, tmax, time. `side`: which side of ng the spawned origin is on.
-__kernel void probe(const __global Node8 *nodes, const __global Packet8 *packets, const __global ShapeData *shapes,
+__kernel void probe(const __global TreeNode *nodes, const __global TreeTriangles *packets, const __global ShapeData *shapes,
                     const __global TriangleData *triangles, const __global float *positions,
                     const __global float *normals, const __global float *uvs, const __global SphereData *spheres,
                     const __global DiscData *discs, const __global PlaneData *planes,

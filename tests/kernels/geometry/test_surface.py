@@ -162,12 +162,13 @@ def test_smooth_normals_of_a_sphere_mesh_are_the_spheres(probe: Any, kit: Any) -
 def test_a_shadow_ray_reaches_a_light_and_stops_short_of_it(device: Any, kit: Any, scale: float) -> None:
     """From floor to wall (they share an edge) and from floor to lid nothing stands in the way of any ray."""
     import pyopencl as cl
-    from penumbra_kernels.program import BUILD_OPTIONS, assemble
+    from penumbra_kernels.accel.compact import tree_arrays
+    from penumbra_kernels.program import assemble
 
     text = """
 #include "geometry/intersect.cl"
 #include "geometry/surface.cl"
-__kernel void shadow(const __global Node8 *nodes, const __global Packet8 *packets,
+__kernel void shadow(const __global TreeNode *nodes, const __global TreeTriangles *packets,
                      const __global ShapeData *shapes,
                      const __global TriangleData *triangles, const __global float *positions, const uint root,
                      const __global float *rays, const __global float *targets, __global uint *blocked) {
@@ -189,7 +190,7 @@ __kernel void shadow(const __global Node8 *nodes, const __global Packet8 *packet
 """
     flags = {f"PENUMBRA_{name}": 0 for name in ("ROUND", "INSTANCING", "MOTION", "DEFORMATION", "TEXTURES")}
     program = cl.Program(device.context, assemble("shadow.cl", {**flags, **device.flags}, text)).build(
-        list(BUILD_OPTIONS)
+        list(device.options)
     )
     kernel = cl.Kernel(program, "shadow")
     s = scale
@@ -208,7 +209,8 @@ __kernel void shadow(const __global Node8 *nodes, const __global Packet8 *packet
         rays = np.concatenate([eye, floor_points - eye], 1).astype(np.float32)
         targets = (points - eye).astype(np.float32)
         names = ("nodes", "packets", "shapes", "triangles", "positions")
-        buffers = [device.upload(geometry.arrays[name]) for name in names]
+        arrays = tree_arrays(geometry.arrays, device.flags)
+        buffers = [device.upload(arrays[name]) for name in names]
         uploaded, out = (device.upload(rays), device.upload(targets)), device.allocate(4 * n)
         device.launch(kernel, [*buffers, np.uint32(geometry.root), *uploaded, out], n, 1)
         blocked = np.zeros(n, np.uint32)

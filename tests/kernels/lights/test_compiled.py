@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from penumbra_kernels.accel.compact import tree_arrays
 from penumbra_kernels.assets import NoAssets
 from penumbra_kernels.compile.extent import scene_radius
 from penumbra_kernels.compile.geometry import compile_geometry
@@ -142,7 +143,7 @@ TRACE = """
 #include "geometry/surface.cl"
 #include "lights/lights.cl"
 __kernel void aim_at(__global float *out, const __global float *p, const __global float *u, const float time,
-    const uint root, const uint light_count, const __global Node8 *nodes, const __global Packet8 *packets,
+    const uint root, const uint light_count, const __global TreeNode *nodes, const __global TreeTriangles *packets,
     const __global ShapeData *shapes, const __global TriangleData *triangles, const __global float *positions,
     const __global float *normals, const __global float *uvs, const __global SphereData *spheres,
     const __global DiscData *discs, const __global PlaneData *planes, const __global Instance *instances,
@@ -223,7 +224,8 @@ def aim(request, device):
 
     def run(scene: Scene, anchor, points: np.ndarray, u: np.ndarray, time: float) -> np.ndarray:
         geometry, lights = compiled(scene, anchor)
-        arrays = {**geometry.arrays, **lights.arrays, "keyframes": geometry.keyframes}
+        every = {**geometry.arrays, **lights.arrays, "keyframes": geometry.keyframes}
+        arrays = tree_arrays(every, device.flags)
         buffers = [device.upload(arrays[name]) for name in BUFFERS]
         out = np.empty((len(points), 6), np.float32)
         target = device.allocate(out.nbytes)

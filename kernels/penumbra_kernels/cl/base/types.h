@@ -37,10 +37,19 @@ typedef struct {
   uint kind, primitive;
 } Surface;
 
+// The tree as the device's kind wants it: eight lanes at once, or compact for one thread a ray (geometry/compact.cl).
+#if PENUMBRA_COMPACT_TREE
+typedef CompactNode TreeNode;
+typedef CompactTriangle TreeTriangles;
+#else
+typedef Node8 TreeNode;
+typedef Packet8 TreeTriangles;
+#endif
+
 // All of the scene on the device. Pointers of effects that are out are null and never read.
 typedef struct {
-  const __global Node8 *nodes;
-  const __global Packet8 *packets;
+  const __global TreeNode *nodes;
+  const __global TreeTriangles *packets;
   const __global SphereData *spheres;
   const __global DiscData *discs;
   const __global PlaneData *planes;

@@ -1,7 +1,7 @@
 // A hit on a triangle as a point on a surface, in the frame of its tree. Metres.
 #include "geometry/surface_local.cl"
 #if PENUMBRA_DEFORMATION
-#include "geometry/deforming.cl"
+#include "geometry/deform_time.cl"
 #endif
 
 static inline float3 vertex_at(const __global float *positions, const uint index) {

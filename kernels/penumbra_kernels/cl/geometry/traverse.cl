@@ -1,88 +1,25 @@
 // Walking the eight-wide tree with one ray. An instance is a leaf of the world's tree: the walk goes on in its own tree
 // with the ray in its frame, and a mark on the stack says where to come back. Object-space directions are not normalised,
 // so that t means the same everywhere. Metres, seconds.
-#include "geometry/triangle.cl"
+//
+// The device's kind picks what meets nodes and triangles: eight lanes at once (nodes8.cl, triangle.cl, deforming.cl), or a thread
+// a ray with compact records (compact.cl). Both give WideRay, wide_ray, visit_node, hit_packets and hit_deforming.
+#include "geometry/stack.cl"
 #include "geometry/sphere.cl"
 #include "geometry/disc.cl"
 #include "geometry/transform.cl"
 #if PENUMBRA_DEFORMATION
+#include "geometry/deform_time.cl"
+#endif
+#if PENUMBRA_COMPACT_TREE
+#include "geometry/compact.cl"
+#else
+#include "geometry/nodes8.cl"
+#include "geometry/triangle.cl"
+#if PENUMBRA_DEFORMATION
 #include "geometry/deforming.cl"
 #endif
-
-#define LEVEL_STACK 95u  // accel/build.py promises that no tree needs more
-#if PENUMBRA_INSTANCING
-#define STACK_SIZE (2u * LEVEL_STACK + 1u)
-#else
-#define STACK_SIZE LEVEL_STACK
 #endif
-#define BACK_TO_WORLD 0xffffffffu  // as a child word: the mark below an instance's entries
-#define NO_CHILD 0x80000000u       // an empty leaf
-
-// Waiting children: t in the high half, so that they compare by it (t >= 0), the child word in the low half.
-typedef struct {
-  ulong entries[STACK_SIZE];
-  uint size;
-} Stack;
-
-static inline ulong stack_entry(const uint word, const float t) { return ((ulong)as_uint(t) << 32) | word; }
-
-#define PLANES(node, offset) (*(const __global float8 *)((const __global float *)(node) + (offset)))
-
-// t at which the ray enters each child's box; the mask of those that it meets no later than `end`. NaN of a plane that
-// the origin lies in is always the first operand, and dropped.
-static inline uint meet_boxes(const __global Node8 *node, const WideRay *w, const float end, float8 *enter) {
-  const float8 zero = 0.0f, last = end;
-  const float8 nx = (PLANES(node, w->near_x) - w->near_ox) * w->near_rx;
-  const float8 ny = (PLANES(node, w->near_y) - w->near_oy) * w->near_ry;
-  const float8 nz = (PLANES(node, w->near_z) - w->near_oz) * w->near_rz;
-  const float8 fx = (PLANES(node, w->near_x ^ 8u) - w->far_ox) * w->far_rx;
-  const float8 fy = (PLANES(node, w->near_y ^ 8u) - w->far_oy) * w->far_ry;
-  const float8 fz = (PLANES(node, w->near_z ^ 8u) - w->far_oz) * w->far_rz;
-  *enter = MAX8(nx, MAX8(ny, MAX8(nz, zero)));
-  return lane_mask(*enter <= MIN8(fx, MIN8(fy, MIN8(fz, last))));
-}
-
-// Asks for the child's memory, while its siblings are still sorted: large scenes wait for that more than for anything else.
-static inline void prefetch_child(const SceneData *scene, const uint word) {
-  if (word & LEAF_FLAG) return;  // leaves are not worth it
-  const __global char *at = (const __global char *)(scene->nodes + word);
-  PREFETCH(at);
-  PREFETCH(at + 64);
-  PREFETCH(at + 128);
-  PREFETCH(at + 192);
-}
-
-// The nearest child that is met, or NO_CHILD; the others wait on the stack, the nearer the later.
-static inline uint visit_node(const SceneData *scene, const __global Node8 *node, const WideRay *w, const float end, Stack *stack) {
-  float8 enter[1];
-  uint mask = meet_boxes(node, w, end, enter);
-  if (!mask) return NO_CHILD;
-  const float *t = (const float *)enter;
-  for (uint m = mask; m; m &= m - 1u) prefetch_child(scene, node->child[CTZ(m)]);
-  const uint i = CTZ(mask);
-  mask &= mask - 1u;
-  if (!mask) return node->child[i];
-  const uint j = CTZ(mask);
-  mask &= mask - 1u;
-  const ulong a = stack_entry(node->child[i], t[i]), b = stack_entry(node->child[j], t[j]);
-  const ulong low = MIN(a, b), high = MAX(a, b);
-  if (!mask) {
-    stack->entries[stack->size++] = high;
-    return (uint)low;
-  }
-  const uint bottom = stack->size;
-  stack->entries[stack->size++] = high;
-  stack->entries[stack->size++] = low;
-  do {  // insertion, farthest first
-    const uint k = CTZ(mask);
-    mask &= mask - 1u;
-    const ulong entry = stack_entry(node->child[k], t[k]);
-    uint at = stack->size++;
-    for (; at > bottom && stack->entries[at - 1u] < entry; at--) stack->entries[at] = stack->entries[at - 1u];
-    stack->entries[at] = entry;
-  } while (mask);
-  return (uint)stack->entries[--stack->size];
-}
 
 #if PENUMBRA_ROUND
 static inline bool hit_round(const SceneData *scene, const uint word, const WideRay *w, const uint instance,

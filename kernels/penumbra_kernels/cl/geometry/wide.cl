@@ -1,5 +1,6 @@
 // Eight lanes at once: what the traversal does to eight boxes or eight triangles. No lengths, no frame.
 #include "base/types.h"
+#include "geometry/slack.h"
 
 #define MIN8(a, b) ((a) < (b) ? (a) : (b))
 #define MAX8(a, b) ((a) > (b) ? (a) : (b))
@@ -49,15 +50,6 @@ static inline float8 difference_of_products8(const float8 a, const float8 b, con
 }
 
 static inline uint signbit_of(const float x) { return as_uint(x) >> 31; }
-
-// Every box is met by 16 u (u = 2^-24) times the sum of the largest coordinates of box and origin too early and too
-// late: the box's part is in its bounds (compile/bounds.py), the origin's is here. 8 u covers what the triangle test
-// moves a triangle sideways (differences, shear: 7 u of the distance to its farthest vertex), so that a ray that leaves
-// one triangle for its neighbour finds the neighbour's box; and 8 u what it errs in t, so that no box that holds a hit at
-// the current t or before it is skipped, whatever the order of visits.
-#define BOX_SLACK 0x1p-20f
-// Three roundings on each side of the comparison (Ize 2013).
-#define FAR_FACTOR 1.00000036f
 
 // False where the ray is not one: NaN, infinite, or no direction.
 static inline bool wide_ray(const float3 o, const float3 d, WideRay *w) {
