@@ -14,7 +14,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_program_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Tests neither read nor fill the user's program cache, unless PENUMBRA_CACHE names one."""
+    """Tests neither read nor fill the user's program cache, unless PENUMBRA_CACHE names one. Small kernels by the hundred
+    stay in PoCL's own cache, so that a second run need not compile them."""
+    os.environ.setdefault("POCL_CACHE_DIR", str(Path.home() / ".cache" / "pocl" / "kcache"))
     if "PENUMBRA_CACHE" not in os.environ:
         os.environ["PENUMBRA_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 

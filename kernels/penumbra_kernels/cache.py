@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
     from penumbra_kernels.device import DeviceInfo
 
 MAX_BYTES: Final = 512 * 1024 * 1024
-"""Oldest entries go when the folder holds more."""
+"""Of all entries, unless PENUMBRA_CACHE_BYTES says otherwise; those that were not used for longest go first."""
+ABANDONED_SECONDS: Final = 3600.0
+"""A temporary file of that age was left by a process that was killed."""
 _DIGEST: Final = 32
 
 
@@ -27,8 +30,15 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "penumbra"
 
 
+def capacity() -> int:
+    """Bytes that all entries together may have: PENUMBRA_CACHE_BYTES, or MAX_BYTES."""
+    text = os.environ.get("PENUMBRA_CACHE_BYTES", "")
+    return int(text) if text.isdecimal() else MAX_BYTES
+
+
 def key(source: str, options: Sequence[str], device: DeviceInfo) -> str:
-    """SHA-256 of the flattened source, build options, device, driver and platform."""
+    """SHA-256 of the flattened source (flags are its first lines), build options, device, driver and platform; a PoCL
+    platform's version names PoCL's release and LLVM's, and the bit class the processor that it compiles for."""
     parts = [source, list(options), device.platform, device.bit_class]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
@@ -37,8 +47,13 @@ def _path(key: str) -> Path:
     return folder() / "programs" / f"{key}.bin"
 
 
+def has(key: str) -> bool:
+    """Whether there is an entry, sound or not."""
+    return _path(key).exists()
+
+
 def load(key: str) -> bytes | None:
-    """The binary, or None where there is none or its checksum is wrong."""
+    """The binary, or None where there is none or its checksum is wrong. Counts as a use."""
     path = _path(key)
     try:
         data = path.read_bytes()
@@ -78,11 +93,15 @@ def _trim(programs: Path) -> None:
     for path in programs.glob("*.bin"):
         with contextlib.suppress(OSError):
             status = path.stat()
-            entries.append((status.st_mtime, status.st_size, path))
-    total = sum(size for _, size, _ in entries)
+            entries.append((status.st_mtime_ns, status.st_size, path))
+    total, limit = sum(size for _, size, _ in entries), capacity()
     for _, size, path in sorted(entries):
-        if total <= MAX_BYTES:
-            return
+        if total <= limit:
+            break
         with contextlib.suppress(OSError):
             path.unlink()
         total -= size
+    for path in programs.glob("*.tmp"):
+        with contextlib.suppress(OSError):
+            if time.time() - path.stat().st_mtime > ABANDONED_SECONDS:
+                path.unlink()

@@ -7,7 +7,7 @@ first device is asked for.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from platform import machine
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from penumbra_kernels import cache
+from penumbra_kernels import cache, pocl_cache
 from penumbra_kernels.pocl_target import UNKNOWN, name_target
 from penumbra_kernels.program import BUILD_OPTIONS, assemble
 
@@ -92,6 +92,7 @@ def _target(device: cl.Device) -> str:
 def _enumerate() -> list[tuple[DeviceInfo, Any]]:
     import pyopencl as cl
 
+    pocl_cache.take_scratch(cache.folder() / "scratch")
     found: list[tuple[DeviceInfo, Any]] = []
     try:
         platforms = cl.get_platforms()
@@ -144,20 +145,26 @@ class Device:
             "PENUMBRA_X86": int(builtins and machine().lower() in ("x86_64", "amd64")),
         }
 
-    def build(self, entry: str, flags: Mapping[str, int], text: str | None = None) -> cl.Program:
-        """Assemble and build a program, from the cache where it is there. Raises BuildError with the log."""
+    def build(
+        self,
+        entry: str,
+        flags: Mapping[str, int],
+        text: str | None = None,
+        *,
+        first_launch: Callable[[cl.Program], None] | None = None,
+    ) -> cl.Program:
+        """Assemble and build a program, from the cache where it is there. Raises BuildError with the log.
+
+        first_launch: launches the kernels without doing anything. Drivers that compile at a kernel's first launch do it
+        then, before the binary is taken, so that it holds the final code.
+        """
         import pyopencl as cl
 
         source = assemble(entry, {**flags, **self.flags}, text)
-        key = cache.key(source, self.options, self.info)
-        binary = cache.load(key)
-        if binary is not None:
-            try:
-                known: cl.Program = cl.Program(self.context, self.context.devices, [binary])
-                known.build(list(self.options))
-                return known
-            except cl.Error:
-                cache.discard(key)
+        key = self.cache_key(source)
+        known = self._from_cache(key)
+        if known is not None:
+            return known
         try:
             program: cl.Program = cl.Program(self.context, source)
             program.build(list(self.options))
@@ -166,8 +173,30 @@ class Device:
                 f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}"
             ) from error
         self.builds += 1
+        if first_launch is not None:
+            first_launch(program)
+            pocl_cache.spare_any_size()
         binaries: Any = program.get_info(cl.program_info.BINARIES)
         cache.store(key, binaries[0])
+        return program
+
+    def cache_key(self, source: str) -> str:
+        """Names the program of a flattened source on this device."""
+        return cache.key(source, self.options, self.info)
+
+    def _from_cache(self, key: str) -> cl.Program | None:
+        """The program whose binary is stored; None where there is none that the driver takes."""
+        import pyopencl as cl
+
+        binary = cache.load(key)
+        if binary is None:
+            return None
+        try:
+            program: cl.Program = cl.Program(self.context, self.context.devices, [binary])
+            program.build(list(self.options))
+        except cl.Error:
+            cache.discard(key)
+            return None
         return program
 
     def upload(self, array: np.ndarray[Any, Any]) -> cl.Buffer:

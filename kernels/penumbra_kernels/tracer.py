@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from penumbra_kernels.accel.compact import tree_arrays
-from penumbra_kernels.layout import CONSTANTS, LAYERS, SUM
+from penumbra_kernels.layout import CONSTANTS, LAYERS, PARAMS, SUM
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, merge
 
 if TYPE_CHECKING:
+    import pyopencl as cl
+
     from penumbra_kernels.compile.scene import CompiledScene
     from penumbra_kernels.device import Device
 
@@ -83,6 +85,19 @@ class SamplePlan:
     """Planned samples a replicate, 0 where that is not known beforehand."""
 
 
+def build_program(device: Device, flags: Flags) -> cl.Program:
+    """trace.cl with these flags on this device, from the cache or compiled to its final code. Raises BuildError."""
+
+    def launch_nothing(program: cl.Program) -> None:
+        """Every argument is there, and no pixel: item_count is 0."""
+        blank = device.upload(np.zeros((), PARAMS))
+        names = [name for name, present in ARGUMENTS if present(flags) and name != "first_item"]
+        arguments = [blank, *(device.allocate(0) for _ in names[1:]), np.uint32(0)]
+        device.launch(program.trace, arguments, *((1, 1) if device.info.kind == "cpu" else (64, 64)))
+
+    return device.build("trace.cl", flags, first_launch=launch_nothing)
+
+
 class Tracer:
     """A scene on a device. `program` picks the effects that are compiled in: just the scene's ('specialised') or all
     ('generic'); the bits are the same."""
@@ -97,7 +112,7 @@ class Tracer:
         self.flags = features.flags() if program == "specialised" else features.generic_flags()
         started = time.perf_counter()
         builds = device.builds
-        self._kernel = device.build("trace.cl", self.flags).trace
+        self._kernel = build_program(device, self.flags).trace
         self.compile_seconds = time.perf_counter() - started
         self.compiled_cold = device.builds > builds
         started = time.perf_counter()
