@@ -71,6 +71,7 @@ SUM: Final = np.dtype(
         ("lit", np.uint32),  # of these, samples that carried light
         ("rejected", np.uint32),  # NaN, infinite or negative
         ("rejected_in", np.uint32),  # bits of the effects in which rejected samples arose (base/effects.h)
+        ("rays", np.uint32),  # traced by all samples, rejected ones included: what they cost, counted
     ]
 )
 

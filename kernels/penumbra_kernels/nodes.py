@@ -18,13 +18,11 @@ from penumbra_kernels.layout import LAYERS, SUM
 FLOAT32_SAMPLES: Final = 256
 """Largest node whose sums are float32; a launch never covers more samples of one pixel and replicate."""
 
+_WIDE: Final = {"rgba": np.dtype(np.float64), "rays": np.dtype(np.uint64)}
 SUM64: Final = np.dtype(
-    [
-        (name, np.float64 if name == "rgba" else base.base, base.shape)
-        for name, (base, *_) in (SUM.fields or {}).items()
-    ]
+    [(name, _WIDE.get(name, base.base), base.shape) for name, (base, *_) in (SUM.fields or {}).items()]
 )
-"""SUM with float64 colour: nodes of more than FLOAT32_SAMPLES samples."""
+"""SUM with float64 colour and 64 bits of rays: nodes of more than FLOAT32_SAMPLES samples."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +81,7 @@ def merge(left: SumNode, right: SumNode) -> SumNode:
     np.add(left.sums["rgba"], right.sums["rgba"], out=sums["rgba"], dtype=sums["rgba"].dtype)
     for name in ("taken", "lit", "rejected"):
         np.add(left.sums[name], right.sums[name], out=sums[name])
+    np.add(left.sums["rays"], right.sums["rays"], out=sums["rays"], dtype=sums["rays"].dtype)
     np.bitwise_or(left.sums["rejected_in"], right.sums["rejected_in"], out=sums["rejected_in"])
     return SumNode(left.tile, left.first_sample, count, sums, _merge_layers(left.layers, right.layers))
 

@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from typing import Any, Final
 
 from penumbra_scene import limits
+from penumbra_scene.adaptive import Adaptive
 from penumbra_scene.assets import AssetRef
 from penumbra_scene.base import Vec3
 from penumbra_scene.errors import pointer, shorten
@@ -124,6 +125,8 @@ def _sampling(scene: Scene) -> Iterator[SceneError]:
         )
     if stop.relative_error is not None:
         yield from _target(scene)
+    if scene.adaptive is not None:
+        yield from _adaptive(scene, scene.adaptive)
     if sampler.replicates is None:
         return
     if sampler.type == "regular" and sampler.replicates > 1:
@@ -147,6 +150,29 @@ def _target(scene: Scene) -> Iterator[SceneError]:
         )
     elif scene.stop.samples == 1:
         yield SceneError(at, "one sample has no variance to aim at", given, "null, or 2 or more samples")
+
+
+def _adaptive(scene: Scene, adaptive: Adaptive) -> Iterator[SceneError]:
+    """Adaptive sampling needs pixels that can get more or fewer samples, and `error` a variance to go by."""
+    sampler, at = scene.sampler, "/adaptive/strategy"
+    if sampler.type == "random":
+        message = "the sampler `random` throws its samples over the whole plane: no pixel can be given more"
+        yield SceneError(at, message, shorten(adaptive.strategy), "null, or another sampler")
+    elif adaptive.strategy == "error" and sampler.type == "regular":
+        message = "a deterministic sampler has no variance to go by"
+        accepted = '"contrast", or a sampler other than `regular`'
+        yield SceneError(at, message, shorten(adaptive.strategy), accepted)
+    elif adaptive.strategy == "error" and (sampler.replicates == 1 or scene.stop.samples == 1):
+        message = "one replicate has no variance to go by"
+        yield SceneError(at, message, shorten(adaptive.strategy), '"contrast", or 2 or more replicates')
+    if adaptive.biased and scene.stop.samples is not None and adaptive.pilot_samples is not None:
+        yield from _kept(adaptive.pilot_samples, scene.stop.samples)
+
+
+def _kept(pilot: int, samples: int) -> Iterator[SceneError]:
+    if pilot > samples:
+        message = "the picture begins with the samples that decide: there cannot be more of them than samples"
+        yield SceneError("/adaptive/pilot_samples", message, str(pilot), f"at most {samples}")
 
 
 def _emitters(scene: Scene) -> Iterator[SceneError]:

@@ -9,6 +9,7 @@ from typing import Annotated, Final
 
 from pydantic import Field, StringConstraints, model_validator
 
+from penumbra_scene.adaptive import Adaptive, in_force
 from penumbra_scene.base import Float, Integer, Measured, Model, Name, NotBoolean, Positive, Unit, error_at
 from penumbra_scene.errors import Problem
 from penumbra_scene.film import Film
@@ -35,9 +36,10 @@ class JobRequest(Model):
     fps: Annotated[Positive, Field(le=1000)] = 24.0
     """Frames a second."""
     film: Film | None = None
-    """Takes the place of the scene's whole section, as do the next three."""
+    """Takes the place of the scene's whole section, as do the next four."""
     sampler: Sampler | None = None
     integrator: Integrator | None = None
+    adaptive: Adaptive | None = None
     stop: Stop | None = None
 
     @model_validator(mode="after")
@@ -53,10 +55,11 @@ class JobRequest(Model):
 
     def resolved_scene(self) -> Scene:
         """The scene as it will be rendered, with this request's sections in place of its own."""
-        sections = {key: getattr(self, key) for key in OVERRIDES}
-        return self.scene.model_copy(
-            update={key: value for key, value in sections.items() if value is not None}
-        )
+        given = {key: getattr(self, key) for key in OVERRIDES}
+        sections = {key: value for key, value in given.items() if value is not None}
+        if "adaptive" in sections:
+            sections["adaptive"] = in_force(sections["adaptive"])
+        return self.scene.model_copy(update=sections)
 
 
 class JobChange(Model):
@@ -66,7 +69,7 @@ class JobChange(Model):
     """Higher ones go first."""
 
 
-OVERRIDES: Final = ("film", "sampler", "integrator", "stop")
+OVERRIDES: Final = ("film", "sampler", "integrator", "adaptive", "stop")
 """The sections of a scene that a job may replace."""
 
 

@@ -87,6 +87,10 @@ class Counts(Model):
     """Samples that were NaN, infinite or negative, and were left out."""
     rejected_in: dict[str, int] = Field(default_factory=dict)
     """By effect."""
+    rays: Count = 0
+    """Traced by all samples, shadow rays included."""
+    rays_per_path: Measured | None = None
+    """Null: no path was traced."""
     pixels: Count
     flagged_pixels: Count = 0
     """Pixels whose error bar is not to be trusted: heavy tails, or too few samples that carried light."""

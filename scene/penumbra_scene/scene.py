@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from penumbra_scene import limits
+from penumbra_scene.adaptive import Adaptive, in_force
 from penumbra_scene.base import Model, Name, NotBoolean
 from penumbra_scene.camera import Camera
 from penumbra_scene.film import Film
@@ -29,6 +30,8 @@ class Scene(Model):
     film: Film = Film()
     integrator: Integrator = Integrator()
     sampler: Sampler = Sampler()
+    adaptive: Annotated[Adaptive | None, AfterValidator(in_force)] = None
+    """Null: every pixel gets the same number of samples."""
     stop: Stop = Stop()
     textures: Annotated[dict[Name, Texture], Field(max_length=limits.MAX_TEXTURES)] = Field(
         default_factory=dict

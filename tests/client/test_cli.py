@@ -74,7 +74,7 @@ def test_settings_replace_sections_and_keep_the_rest_of_them(service: Any, tmp_p
     path.write_text(json.dumps({**SCENE, **sections}))
     service.on("POST /v1/jobs", service.answer(service.job(), 202))
     words = "--error 2% --seconds 60 --seed 18446744073709551615 --size 32x16"
-    words += " --frame 12 --fps 25 --name x --priority 3"
+    words += " --frame 12 --fps 25 --name x --priority 3 --adaptive fast"
     assert main(["submit", str(path), *words.split()]) == Exit.OK
     sent = service.requests("POST /v1/jobs")[0].json
     del sent["scene"]
@@ -82,6 +82,7 @@ def test_settings_replace_sections_and_keep_the_rest_of_them(service: Any, tmp_p
         "stop": {"seconds": 60.0, "relative_error": 0.02, "confidence": 0.9},
         "sampler": {"type": "sobol", "replicates": 4, "seed": "18446744073709551615"},
         "film": {"width": 32, "height": 16, "filter": {"type": "tent"}},
+        "adaptive": {"strategy": "error", "mode": "fast"},
         "frames": "12",
         "fps": 25.0,
         "name": "x",

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 from penumbra_scene import limits
 from penumbra_scene.check import asset_refs, check_scene, scene_hash
+from penumbra_scene.errors import ProblemError
+from penumbra_scene.parse import job_from_json, scene_from_json
 from penumbra_scene.placement import compose
 from penumbra_scene.scene import Scene
 
@@ -67,6 +69,53 @@ def test_only_the_regular_sampler_refuses_an_error_target(kind: str) -> None:
 )
 def test_one_replicate_or_sample_refuses_an_error_target(sampler: Any, stop: Any) -> None:
     assert "/stop/relative_error" in errors({**CAMERA, "sampler": sampler, "stop": stop})
+
+
+@pytest.mark.parametrize(
+    ("sections", "at"),
+    [
+        ({"adaptive": {}, "sampler": {"type": "random"}}, "/adaptive/strategy"),
+        ({"adaptive": {"strategy": "contrast"}, "sampler": {"type": "random"}}, "/adaptive/strategy"),
+        ({"adaptive": {}, "sampler": {"type": "regular"}}, "/adaptive/strategy"),
+        ({"adaptive": {}, "sampler": {"replicates": 1}}, "/adaptive/strategy"),
+        ({"adaptive": {}, "stop": {"samples": 1}}, "/adaptive/strategy"),
+        (
+            {"adaptive": {"mode": "fast", "pilot_samples": 32}, "stop": {"samples": 16}},
+            "/adaptive/pilot_samples",
+        ),
+    ],
+)
+def test_adaptive_sampling_is_refused_where_nothing_can_be_decided(sections: Any, at: str) -> None:
+    assert list(errors({**CAMERA, **sections})) == [at]
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"adaptive": {}},
+        {"adaptive": {"strategy": "contrast"}, "sampler": {"type": "regular"}},
+        {"adaptive": {"strategy": "off"}, "sampler": {"type": "random"}},
+        {"adaptive": {"pilot_samples": 32}, "stop": {"samples": 16}},
+    ],
+)
+def test_adaptive_sampling_is_taken_where_something_can(sections: Any) -> None:
+    assert not errors({**CAMERA, **sections})
+
+
+@pytest.mark.parametrize(
+    ("section", "at"),
+    [({"strategy": "contrast", "mode": "fast"}, "/mode"), ({"threshold": 0.5}, "/threshold")],
+)
+def test_keys_of_the_other_strategy_are_refused(section: Any, at: str) -> None:
+    with pytest.raises(ProblemError) as caught:
+        scene_from_json({**CAMERA, "adaptive": section})
+    assert [item.pointer for item in caught.value.problem.errors] == ["/adaptive" + at]
+
+
+def test_a_job_can_turn_the_scenes_adaptive_sampling_off() -> None:
+    scene = {**CAMERA, "adaptive": {"strategy": "error"}}
+    assert job_from_json({"scene": scene}).resolved_scene().adaptive is not None
+    assert job_from_json({"scene": scene, "adaptive": {"strategy": "off"}}).resolved_scene().adaptive is None
 
 
 def test_there_are_never_more_replicates_than_samples() -> None:

@@ -11,6 +11,14 @@ if TYPE_CHECKING:
 
 SAMPLERS: Final = ("regular", "random", "independent", "stratified", "jittered", "sobol", "blue_noise")
 
+ADAPTIVE: Final = {
+    "off": {"strategy": "off"},
+    "certified": {"strategy": "error", "mode": "certified"},
+    "fast": {"strategy": "error", "mode": "fast"},
+    "contrast": {"strategy": "contrast"},
+}
+"""What --adaptive puts in place of the scene's section."""
+
 
 def add_server(parser: argparse.ArgumentParser) -> None:
     """Which service."""
@@ -40,6 +48,12 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--sampler", choices=SAMPLERS, help="how samples are placed in every domain")
     group.add_argument("--seed", type=_seed, metavar="K", help="seed of the random numbers, 0 to 2^64-1")
+    group.add_argument(
+        "--adaptive",
+        choices=tuple(ADAPTIVE),
+        help="more samples where they are needed: by the error (certified: unbiased; fast: keeps the pilot's "
+        "samples), or by neighbours' contrast",
+    )
     group.add_argument("--size", type=_size, metavar="WxH", help="picture size in pixels, such as 320x240")
     group.add_argument("--frame", type=_seed, metavar="F", help="render the scene at the time F / fps")
     group.add_argument("--fps", type=_positive, metavar="R", help="frames a second (default 24)")
@@ -55,6 +69,8 @@ def settings(arguments: argparse.Namespace, document: dict[str, Any]) -> dict[st
     if any(value is not None for value in stop.values()):
         confidence = _section(document, "stop").get("confidence")
         found["stop"] = _given({**stop, "confidence": confidence})
+    if arguments.adaptive is not None:
+        found["adaptive"] = ADAPTIVE[arguments.adaptive]
     seed = None if arguments.seed is None else str(arguments.seed)
     if arguments.sampler is not None or seed is not None:
         found["sampler"] = {

@@ -104,8 +104,9 @@ typedef struct {
   uint lit;
   uint rejected;
   uint rejected_in;
+  uint rays;
 } Sum;
-// sizeof(Sum) == 32
+// sizeof(Sum) == 36
 
 typedef struct {
   float albedo_depth[4];

@@ -50,7 +50,7 @@ static inline Ray start_ray(const __global Params *params, const __global float 
 // What a node gathers for one pixel and replicate.
 typedef struct {
   float4 levels[MAX_LEVELS];
-  uint taken, lit, rejected, rejected_in;
+  uint taken, lit, rejected, rejected_in, rays;
 #if PENUMBRA_LAYERS
   float4 albedo_depth[MAX_LEVELS];
   float4 normal[MAX_LEVELS];
@@ -67,6 +67,7 @@ static inline float4 take_sample(const SceneData *scene, const __global Params *
   *path = trace_path(scene, params, sampler, ray);
   path->depth *= dot3(ray.d, (float3)(-params->camera.world_from_camera[0][2], -params->camera.world_from_camera[1][2],
                                       -params->camera.world_from_camera[2][2]));
+  gather->rays += path->rays;
   const float3 c = path->radiance;
   if (!is_valid(c)) {
     gather->rejected++;
@@ -107,7 +108,7 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
   const uint y = params->tile_y + pixel / params->tile_width;
   Sampler sampler = sampler_start(params, x, y, params->first_replicate + replicate);
   Gather gather;
-  gather.taken = gather.lit = gather.rejected = gather.rejected_in = 0u;
+  gather.taken = gather.lit = gather.rejected = gather.rejected_in = gather.rays = 0u;
   for (uint i = 0; i < params->sample_count; i++) {
     PathSample path;
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
@@ -136,6 +137,7 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
   out->lit = gather.lit;
   out->rejected = gather.rejected;
   out->rejected_in = gather.rejected_in;
+  out->rays = gather.rays;
 #if PENUMBRA_LAYERS
   layers->albedo_depth[0] = gather.albedo_depth[top].x;
   layers->albedo_depth[1] = gather.albedo_depth[top].y;

@@ -158,6 +158,7 @@ def count_pixels(summaries: list[TileSummary]) -> PixelCounts:
         taken=sum(s.taken for s in summaries),
         lit=sum(s.lit for s in summaries),
         rejected=sum(s.rejected for s in summaries),
+        rays=sum(s.rays for s in summaries),
         pixels=sum(s.all_pixels for s in summaries),
         flagged=sum(s.untrusted for s in summaries),
     )

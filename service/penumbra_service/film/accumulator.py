@@ -127,7 +127,7 @@ def _sum_of(parts: list[NDArray[Any]], shape: tuple[int, int, int]) -> NDArray[A
     total = np.zeros(shape, SUM64)
     for part in parts:
         total["rgba"] += part["rgba"]
-        for name in ("taken", "lit", "rejected"):
+        for name in ("taken", "lit", "rejected", "rays"):
             total[name] += part[name]
         total["rejected_in"] |= part["rejected_in"]
     return total

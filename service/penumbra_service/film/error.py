@@ -56,6 +56,8 @@ class TileSummary:
     rejected: int
     rejected_in: dict[str, int]
     """Pixels by name of an effect that their rejected samples had met."""
+    rays: int
+    """Traced by all samples."""
     maximum: float
     """Largest mean of R, G or B."""
 
@@ -91,6 +93,7 @@ def summarize(pixels: PixelStatistics, bits: NDArray[np.uint32]) -> TileSummary:
         rejected_in={
             name: int(np.count_nonzero(pixels.rejected_in & bit)) for name, bit in flags.EFFECTS.items()
         },
+        rays=int(pixels.rays.sum()),
         maximum=float(pixels.mean[..., :3].max(initial=0.0)),
     )
 

@@ -120,6 +120,7 @@ def _summaries(bands: Iterable[Developed]) -> Iterator[TileSummary]:
             lit=0,
             rejected=int(pixels.rejected.sum()),
             rejected_in={},
+            rays=0,
             maximum=float(pixels.mean[..., :3].max(initial=0.0)),
         )
 
@@ -140,6 +141,7 @@ def _statistics(band: Developed) -> PixelStatistics:
         lit=nothing,
         rejected=band.integers["InvalidCount"].astype(np.uint64),
         rejected_in=nothing.astype(np.uint32),
+        rays=nothing,
         largest_share=nothing.astype(np.float64),
         calm=nothing.astype(np.bool_),
     )

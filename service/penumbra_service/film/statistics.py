@@ -54,6 +54,8 @@ class PixelStatistics:
     lit: NDArray[np.uint64]
     rejected: NDArray[np.uint64]
     rejected_in: NDArray[np.uint32]
+    rays: NDArray[np.uint64]
+    """(height, width): traced by all samples, rejected ones included."""
     largest_share: NDArray[np.float64]
     """(height, width): largest squared deviation of a replicate's luminance over their sum; at most (R - 1) /
     R."""
@@ -87,6 +89,7 @@ def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = Fa
         sums["lit"].sum(axis=0, dtype=np.uint64),
         sums["rejected"].sum(axis=0, dtype=np.uint64),
         np.bitwise_or.reduce(sums["rejected_in"], axis=0),
+        sums["rays"].sum(axis=0, dtype=np.uint64),
         share,
         calm,
     )

@@ -108,10 +108,13 @@ def _counts(record: RunRecord) -> Counts:
     c = record.counts
     if c is None:
         return Counts(taken=0, lit=0, rejected=0, pixels=0)
+    paths = c.taken + c.rejected
     return Counts(
         taken=c.taken,
         lit=c.lit,
         rejected=c.rejected,
+        rays=c.rays,
+        rays_per_path=c.rays / paths if paths else None,
         rejected_in={name: count for name, count in c.rejected_in.items() if count},
         pixels=c.pixels,
         flagged_pixels=c.flagged,

@@ -54,6 +54,8 @@ class PixelCounts:
     flagged: int = 0
     flags: dict[str, int] = field(default_factory=dict)
     """Pixels by name of their flag."""
+    rays: int = 0
+    """Traced by all samples, rejected ones included."""
 
 
 @dataclass

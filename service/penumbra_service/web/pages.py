@@ -9,7 +9,7 @@ from typing import Final
 
 from markupsafe import Markup
 from penumbra_scene.job import ErrorPoint, JobState, JobStatus
-from penumbra_scene.receipt import Receipt
+from penumbra_scene.receipt import Counts, Receipt
 from pydantic import ValidationError
 
 from penumbra_service.results import RECEIPT
@@ -216,6 +216,7 @@ def _count_rows(receipt: Receipt) -> tuple[tuple[str, str], ...]:
         ("Samples taken", words.count(counts.taken)),
         ("Samples that carried light", words.count(counts.lit)),
         ("Samples rejected", rejected),
+        ("Rays per path", _rays_per_path(counts)),
         ("Pixels", words.count(counts.pixels)),
         (
             "Pixels with an uncertain error bar",
@@ -223,6 +224,10 @@ def _count_rows(receipt: Receipt) -> tuple[tuple[str, str], ...]:
         ),
         ("Pixels without a sample", words.count(counts.empty_pixels)),
     )
+
+
+def _rays_per_path(counts: Counts) -> str:
+    return words.UNKNOWN if counts.rays_per_path is None else f"{counts.rays_per_path:.2f}"
 
 
 def _identity_rows(receipt: Receipt) -> tuple[tuple[str, str], ...]:

@@ -15,10 +15,10 @@ static inline float power_heuristic(const float a, const float b) {
 }
 
 // One shadow ray to light `light`. `chance` is how many such samples this light expects per hit: picks times pmf.
-// The result is not yet divided by `chance`. use_mis: weigh against the lobe's own density.
+// The result is not yet divided by `chance`. use_mis: weigh against the lobe's own density. Counts the ray that it traces.
 static inline float3 light_contribution(const SceneData *scene, const Surface *surface, const Bsdf *bsdf,
                                         const uint light, const float time, const float u_triangle, const float2 u,
-                                        const float chance, const bool use_mis, uint *effects) {
+                                        const float chance, const bool use_mis, uint *effects, uint *rays) {
   LightSample sample;
   if (!light_sample(scene, light, surface->p, time, u_triangle, u, &sample)) return (float3)(0.0f);
   float lobe_pdf;
@@ -28,6 +28,7 @@ static inline float3 light_contribution(const SceneData *scene, const Surface *s
   const Ray shadow = sample.distance < INF_F
                          ? spawn_ray_to(surface, sample.p, sample.p_error, sample.n, time)
                          : spawn_ray(surface, sample.wi, time);
+  (*rays)++;
   if (occluded(scene, shadow)) return (float3)(0.0f);
   *effects |= sample.delta ? EFFECT_DELTA_LIGHT : EFFECT_AREA_LIGHT;
   const float weight = use_mis && !sample.delta ? power_heuristic(chance * sample.pdf, lobe_pdf) : 1.0f;
@@ -42,7 +43,7 @@ static inline uint light_total(const SceneData *scene) {
 // Radiance that the lights send by way of this surface point towards the viewer.
 static inline float3 direct_light(const SceneData *scene, const __global Params *params, const Sampler *sampler,
                                   const Surface *surface, const Bsdf *bsdf, const uint bounce, const float time,
-                                  const bool use_mis, uint *effects) {
+                                  const bool use_mis, uint *effects, uint *rays) {
   const uint picks = params->shadow_rays;
   float3 sum = (float3)(0.0f);
   const uint total = light_total(scene);
@@ -54,7 +55,7 @@ static inline float3 direct_light(const SceneData *scene, const __global Params 
         const float ut = light_has_triangles(scene, light)
                              ? sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks)
                              : 0.0f;
-        sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks, use_mis, effects);
+        sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks, use_mis, effects, rays);
       }
     }
     return sum * (1.0f / (float)picks);
@@ -68,7 +69,8 @@ static inline float3 direct_light(const SceneData *scene, const __global Params 
     const float ut = light_has_triangles(scene, light)
                          ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), j, picks)
                          : 0.0f;
-    sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks * pmf, use_mis, effects) *
+    sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks * pmf, use_mis, effects,
+                              rays) *
            (1.0f / pmf);
   }
   return sum * (1.0f / (float)picks);

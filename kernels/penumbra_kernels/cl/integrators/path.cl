@@ -12,6 +12,7 @@ typedef struct {
   float depth;       // its distance along the ray, in units of |d|
   uint object_id;    // 1 + index of the shape, 0 for none
   uint effects;      // EFFECT_* bits met on the way
+  uint rays;         // traced, shadow rays included
 } PathSample;
 
 static inline PathSample no_path(void) {
@@ -23,6 +24,7 @@ static inline PathSample no_path(void) {
   none.depth = 0.0f;
   none.object_id = 0u;
   none.effects = 0u;
+  none.rays = 0u;
   return none;
 }
 
@@ -68,6 +70,7 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
   bool delta = true;        // the camera's ray counts as one: nothing else samples what it sees
   for (uint bounce = 0;; bounce++) {
     Hit hit;
+    result.rays++;
     if (!intersect(scene, ray, &hit)) {
 #if PENUMBRA_ENVIRONMENT
       if (scene->environment_light != NONE) {
@@ -114,7 +117,7 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
     }
     if (bsdf_has_smooth(&bsdf)) {
       result.radiance += beta * direct_light(scene, params, sampler, &surface, &bsdf, bounce, ray.time, mis && !last,
-                                             &result.effects);
+                                             &result.effects, &result.rays);
     }
 #if PENUMBRA_INDIRECT
     float3 wi, weight;
