@@ -8,7 +8,7 @@ heuristic further down.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -60,6 +60,39 @@ class Tree:
     stack: int
     """Entries that a traversal needs at most."""
 
+    @property
+    def bytes(self) -> int:
+        """Memory of its arrays."""
+        return self.nodes.nbytes + self.packet_items.nbytes + self.packet_keyframe.nbytes
+
+    def moved(self, node_base: int, packet_base: int) -> Tree:
+        """The same tree behind so many nodes and packets of other trees in the arrays that they share."""
+        if packet_base + len(self.packet_items) > CONSTANTS["LEAF_PACKET_MASK"]:
+            raise TreeError(f"more than {CONSTANTS['LEAF_PACKET_MASK']} packets of triangles")
+        if not node_base and not packet_base:
+            return self
+        nodes = self.nodes.copy()
+        nodes["child"] = _moved_words(nodes["child"], node_base, packet_base)
+        root = int(_moved_words(np.array([self.root], np.uint32), node_base, packet_base)[0])
+        return replace(self, nodes=nodes, root=root)
+
+    def grafted(self, word: int, root: int, stack: int) -> Tree:
+        """With the leaf `word`, one of several, replaced by another tree's root, whose traversal needs `stack` entries."""
+        nodes = self.nodes.copy()
+        nodes["child"][nodes["child"] == word] = root
+        return replace(self, nodes=nodes, stack=self.stack + stack)
+
+
+def _moved_words(words: NDArray[np.uint32], node_base: int, packet_base: int) -> NDArray[np.uint32]:
+    """Child words with the two numbers added to whatever they index."""
+    kind = (words >> np.uint32(CONSTANTS["LEAF_TYPE_SHIFT"])) & np.uint32(3)
+    count = (words >> np.uint32(CONSTANTS["LEAF_COUNT_SHIFT"])) & np.uint32(3)
+    inner = words < EMPTY_WORD
+    triangles = (kind == CONSTANTS["LEAF_TRIANGLES"]) & (count > 0)
+    packets = ~inner & (triangles | (kind == CONSTANTS["LEAF_DEFORMING"]))
+    shift = np.where(inner, np.uint32(node_base), np.where(packets, np.uint32(packet_base), np.uint32(0)))
+    return np.asarray(words + shift, np.uint32)
+
 
 def round_word(kind: int, index: int) -> int:
     """Leaf word of a sphere (kind 0) or disc (kind 1)."""
@@ -83,28 +116,24 @@ def instance_word(index: int) -> int:
 def build_tree(
     items: Items,
     copies: NDArray[np.int64] | None = None,
-    node_base: int = 0,
-    packet_base: int = 0,
     sweep_limit: int = SWEEP_LIMIT,
 ) -> Tree:
-    """Build over the items.
+    """Build over the items; the words count from this tree's own first node and packet.
 
     copies: by key, how many packets a group of its triangles takes (deformation keyframes); [1] where none
-    deforms. node_base, packet_base: what stands before this tree in the shared arrays.
+    deforms.
     """
     copies = np.ones(1, np.int64) if copies is None else copies
     n = len(items.lo)
     if n == 0:
         return Tree(np.zeros(0, NODE8), EMPTY_WORD, np.zeros((0, 8), np.int32), np.zeros(0, np.int32), 0)
     if n == 1:
-        return _single(items, copies, packet_base)
+        return _single(items, copies)
     for depth in SAH_DEPTHS:
         tree = _collapse(
             items,
             build_binary(items.lo, items.hi, depth, sweep_limit),
             copies,
-            node_base,
-            packet_base,
             n <= sweep_limit,
         )
         if tree.stack <= MAX_STACK:
@@ -112,30 +141,26 @@ def build_tree(
     raise TreeError(f"a tree over {n} items needs a deeper stack than {MAX_STACK}")
 
 
-def _leaf(packet: int, key: int, packets: int) -> int:
-    if packet + packets > CONSTANTS["LEAF_PACKET_MASK"]:
-        raise TreeError(f"more than {CONSTANTS['LEAF_PACKET_MASK']} packets of triangles")
-    return (
-        wide.DEFORMING | packet if key > 0 else EMPTY_WORD | packets << CONSTANTS["LEAF_COUNT_SHIFT"] | packet
-    )
+def _leaf(key: int, packets: int) -> int:
+    return wide.DEFORMING if key > 0 else EMPTY_WORD | packets << CONSTANTS["LEAF_COUNT_SHIFT"]
 
 
-def _packets(order: NDArray[np.int32], key: int, copies: NDArray[np.int64], base: int) -> Tree:
+def _packets(order: NDArray[np.int32], key: int, copies: NDArray[np.int64]) -> Tree:
     """A tree that is one leaf of triangles."""
     rows = int(copies[key]) if key > 0 else -(-len(order) // 8)
     lanes = np.arange(8)[None, :] + (0 if key > 0 else 8 * np.arange(rows)[:, None])
     lanes = np.broadcast_to(np.minimum(lanes, len(order) - 1), (rows, 8))
     keyframe = np.arange(rows, dtype=np.int32) if key > 0 else np.zeros(rows, np.int32)
-    return Tree(np.zeros(0, NODE8), _leaf(base, key, rows), order[lanes], keyframe, 0)
+    return Tree(np.zeros(0, NODE8), _leaf(key, rows), order[lanes], keyframe, 0)
 
 
-def _single(items: Items, copies: NDArray[np.int64], packet_base: int) -> Tree:
+def _single(items: Items, copies: NDArray[np.int64]) -> Tree:
     key = int(items.key[0])
     if key == ALONE:
         return Tree(
             np.zeros(0, NODE8), int(items.word[0]), np.zeros((0, 8), np.int32), np.zeros(0, np.int32), 0
         )
-    return _packets(np.zeros(1, np.int32), key, copies, packet_base)
+    return _packets(np.zeros(1, np.int32), key, copies)
 
 
 def _functions(plain: bool) -> tuple[Callable[..., Any], ...]:
@@ -150,9 +175,7 @@ def _item_costs(items: Items, order: NDArray[np.int32]) -> NDArray[np.float32]:
     return np.asarray((area * np.float32(wide.PACKET_COST))[order], np.float32)
 
 
-def _collapse(
-    items: Items, tree: BinaryTree, copies: NDArray[np.int64], node_base: int, packet_base: int, plain: bool
-) -> Tree:
+def _collapse(items: Items, tree: BinaryTree, copies: NDArray[np.int64], plain: bool) -> Tree:
     plan, spread, write = _functions(plain)
     m = len(tree.child)
     cost, share = np.empty((m, 7), np.float32), np.empty((m, 7), np.int8)
@@ -161,20 +184,20 @@ def _collapse(
     plan(tree.child, tree.lo, tree.hi, tree.count, item_cost, item_key, cost, share, split8, is_leaf, key)
     del cost, item_cost
     if is_leaf[0]:
-        return _packets(tree.order, int(key[0]), copies, packet_base)
+        return _packets(tree.order, int(key[0]), copies)
     # Upper bounds: pages that are never written are never taken from memory.
     table, first_child = np.empty((m, 8), np.int32), np.empty(m, np.int32)
     slots, packets = spread(
         tree.child, tree.count, item_key, copies, share, split8, is_leaf, key, table, first_child
     )
-    if packet_base + packets > CONSTANTS["LEAF_PACKET_MASK"]:
+    if packets > CONSTANTS["LEAF_PACKET_MASK"]:
         raise TreeError(f"more than {CONSTANTS['LEAF_PACKET_MASK']} packets of triangles")
     nodes = np.empty(slots, NODE8)
     flat = nodes.view(np.float32).reshape(slots, wide.UINTS)
     positions, keyframe = np.empty((packets, 8), np.int32), np.empty(packets, np.int32)
     stack = write(
         table, first_child, tree.lo, tree.hi, tree.first, tree.count, items.lo, items.hi, tree.order,
-        item_key, items.word, copies, is_leaf, key, node_base, packet_base, flat, flat.view(np.uint32),
+        item_key, items.word, copies, is_leaf, key, flat, flat.view(np.uint32),
         positions, keyframe, np.zeros(slots, np.int64),
     )  # fmt: skip
-    return Tree(nodes, node_base, tree.order[positions], keyframe, int(stack))
+    return Tree(nodes, 0, tree.order[positions], keyframe, int(stack))

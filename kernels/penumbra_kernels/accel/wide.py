@@ -142,7 +142,7 @@ def spread(child, count, item_key, copies, D, split8, is_leaf, key, table, first
 def write(
     table, first_child, lo, hi, first, count, item_lo, item_hi, order, item_key, item_word, copies,
     is_leaf, key,
-    node_base, packet_base, nodes, words, packet_items, packet_keyframe, need,
+    nodes, words, packet_items, packet_keyframe, need,
 ):  # fmt: skip
     """Write nodes and packets; returns the deepest stack that a traversal may need.
 
@@ -168,7 +168,7 @@ def write(
                     nodes[slot, 16 * d + j] = lo[ref, d]
                     nodes[slot, 16 * d + 8 + j] = hi[ref, d]
             if ref >= 0 and is_leaf[ref] == 0:
-                word = node_base + first_child[slot] + inner
+                word = first_child[slot] + inner
                 inner += 1
             elif ref != NOTHING:
                 begin = ~ref if ref < 0 else first[ref]
@@ -178,9 +178,7 @@ def write(
                     word = int(item_word[order[begin]])
                 else:
                     rows = int(copies[group] if group > 0 else (size + WIDTH - 1) // WIDTH)
-                    word = (DEFORMING if group > 0 else LEAF | (rows << COUNT_SHIFT)) | (
-                        packet_base + packets
-                    )
+                    word = (DEFORMING if group > 0 else LEAF | (rows << COUNT_SHIFT)) | packets
                     for row in range(rows):
                         for q in range(WIDTH):
                             lane = q if group > 0 else row * WIDTH + q
@@ -198,6 +196,6 @@ def write(
             if found != LEAF:
                 used += 1
             if found < LEAF:
-                below = max(below, need[found - node_base])
+                below = max(below, need[found])
         need[slot] = used - 1 + below
     return need[0]

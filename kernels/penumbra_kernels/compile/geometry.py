@@ -2,6 +2,8 @@
 
 What stands still is flattened into the world's tree, relative to the anchor in float64. What moves,
 prototypes, and spheres that a transform makes ellipsoids have trees of their own, placed by instances.
+Where much stands still and there are instances, the still part is a tree of its own below the world's, so
+that it is found again in the next frame, whatever moved.
 Shapes of prototypes that emit are copied for each placement, so that every light has its own shape record.
 """
 
@@ -16,7 +18,9 @@ from numpy.typing import NDArray
 from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Sphere
 
-from penumbra_kernels.accel.build import Tree, build_tree, instance_word
+from penumbra_kernels.accel.binary import SWEEP_LIMIT
+from penumbra_kernels.accel.build import MAX_STACK, Tree, instance_word
+from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import Assets
 from penumbra_kernels.compile import bounds
 from penumbra_kernels.compile.materials import BLACK_MATERIAL, DEFAULT_MATERIAL
@@ -32,7 +36,7 @@ from penumbra_kernels.compile.primitives import (
     add_triangles,
 )
 from penumbra_kernels.compile.transforms import is_similarity
-from penumbra_kernels.layout import INSTANCE, KEYFRAME, SHAPE
+from penumbra_kernels.layout import CONSTANTS, INSTANCE, KEYFRAME, SHAPE
 
 Surface = Sphere | Quad | Disc | Mesh
 
@@ -111,6 +115,7 @@ class _Compiler:
         shutter: Shutter,
         anchor: NDArray[np.float64],
         materials: Mapping[str, int],
+        known: Trees,
     ) -> None:
         self.scene, self.assets, self.shutter, self.anchor, self.materials = (
             scene,
@@ -119,8 +124,11 @@ class _Compiler:
             anchor,
             materials,
         )
+        self.known = known
         self.vertices = Vertices()
         self.world = TreeItems()
+        self.placed: list[tuple[NDArray[np.float64], NDArray[np.float64], int]] = []
+        """Boxes and leaf words of the instances."""
         self.trees: list[Tree] = []
         self.packets: list[NDArray[Any]] = []
         self.nodes = 0
@@ -140,8 +148,7 @@ class _Compiler:
                 self._plane(shape, i)
             else:
                 self._place(shape, i, self._outer(shape), where)
-        root = self._tree(self.world)
-        return self._result(root)
+        return self._result(self._world())
 
     def _outer(self, shape: Surface | Plane | Instance) -> Motion:
         return Motion.of(shape.transform, self.shutter, self.anchor)
@@ -214,7 +221,7 @@ class _Compiler:
         if not items.count:
             return None
         lo, hi = items.bounds()
-        return _Part(self._tree(items), lo, hi, inner)
+        return _Part(self._tree(items).root, lo, hi, inner)
 
     def _add_instance(self, part: _Part, outer: Motion, object_id: int) -> int:
         record = np.zeros((), INSTANCE)
@@ -239,7 +246,7 @@ class _Compiler:
         pad = bounds.BOX_SLACK * (offset + np.abs(matrix[:3, 3]))
         index = len(self.instances)
         self.instances.append(record)
-        self.world.add((lo - pad)[None], (hi + pad)[None], instance_word(index))
+        self.placed.append((lo - pad, hi + pad, instance_word(index)))
         return index
 
     def _add_keyframes(self, motion: Motion) -> tuple[int, int]:
@@ -291,13 +298,43 @@ class _Compiler:
             record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(motion)
         self._note(plane, scene_shape, (PRIMITIVE_PLANE, index, 1), NONE, [motion])
 
-    def _tree(self, items: TreeItems) -> int:
-        tree = build_tree(items.items(), items.copies(), self.nodes, self.packet_count)
-        self.trees.append(tree)
+    def _tree(self, items: TreeItems) -> Tree:
+        tree = self.known.tree(items.items(), items.copies()).moved(self.nodes, self.packet_count)
         self.packets.append(items.packets(tree, self.vertices))
+        self._append(tree)
+        return tree
+
+    def _append(self, tree: Tree) -> None:
+        self.trees.append(tree)
         self.nodes += len(tree.nodes)
-        self.packet_count += len(self.packets[-1])
-        return tree.root
+        self.packet_count += len(tree.packet_items)
+
+    def _world(self) -> int:
+        """The root of the world's tree."""
+        if self.placed and self.world.count > SWEEP_LIMIT:
+            root = self._world_in_two()
+            if root is not None:
+                return root
+        for lo, hi, word in self.placed:
+            self.world.add(lo[None], hi[None], word)
+        return self._tree(self.world).root
+
+    def _world_in_two(self) -> int | None:
+        """The tree over what stands still as one leaf of a tree over the instances; None where that is too deep."""
+        still_tree = self.known.tree(self.world.items(), self.world.copies())
+        top_items = TreeItems()
+        for lo, hi, word in self.placed:
+            top_items.add(lo[None], hi[None], word)
+        still = instance_word(CONSTANTS["LEAF_INSTANCE_MASK"])  # stands for it: no instance has this number
+        lo, hi = self.world.bounds()
+        top_items.add(lo[None], hi[None], still)
+        top = self.known.tree(top_items.items(), top_items.copies())
+        if top.stack + still_tree.stack > MAX_STACK:
+            return None
+        root = self._tree(self.world).root
+        top = top.moved(self.nodes, self.packet_count).grafted(still, root, still_tree.stack)
+        self._append(top)
+        return top.root
 
     def _result(self, root: int) -> CompiledGeometry:
         arrays = self.vertices.arrays()
@@ -310,9 +347,15 @@ class _Compiler:
 
 
 def compile_geometry(
-    scene: Scene, assets: Assets, time: float, anchor: NDArray[np.float64], materials: Mapping[str, int]
+    scene: Scene,
+    assets: Assets,
+    time: float,
+    anchor: NDArray[np.float64],
+    materials: Mapping[str, int],
+    trees: Trees | None = None,
 ) -> CompiledGeometry:
-    """The frame at `time` seconds. materials: name -> index. Raises AssetError for assets that are missing
-    or broken."""
+    """The frame at `time` seconds. materials: name -> index. trees: where trees of frames before are found.
+    Raises AssetError for assets that are missing or broken."""
     shutter = Shutter(time, scene.camera.shutter.open, scene.camera.shutter.close)
-    return _Compiler(scene, assets, shutter, np.asarray(anchor, np.float64), materials).compile()
+    at = np.asarray(anchor, np.float64)
+    return _Compiler(scene, assets, shutter, at, materials, trees or Trees()).compile()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from penumbra_scene.scene import Scene
 
+from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import Assets
 from penumbra_kernels.compile.camera import compile_camera
 from penumbra_kernels.compile.filters import compile_filter
@@ -49,13 +50,18 @@ def anchor_of(scene: Scene, time: float) -> NDArray[np.float64]:
     return np.asarray(matrix_at(transform, start)[:3, 3], np.float64)
 
 
-def compile_scene(scene: Scene, assets: Assets, time: float = 0.0) -> CompiledScene:
-    """Turn the frame at `time` seconds into arrays. Raises AssetError for assets that are missing or broken."""
+def compile_scene(
+    scene: Scene, assets: Assets, time: float = 0.0, trees: Trees | None = None
+) -> CompiledScene:
+    """Turn the frame at `time` seconds into arrays. Raises AssetError for assets that are missing or broken.
+
+    trees: kept by whoever compiles several frames, so that trees over what does not move are built once.
+    """
     features = analyse(scene, time)
     anchor = anchor_of(scene, time)
     textures, texels, texture_index = compile_textures(scene, assets)
     materials, material_index = compile_materials(scene, texture_index)
-    geometry = compile_geometry(scene, assets, time, anchor, material_index)
+    geometry = compile_geometry(scene, assets, time, anchor, material_index, trees)
     lights = compile_lights(scene, geometry, time, anchor, assets)
     camera, camera_keyframes, shutter_table = compile_camera(scene.camera, scene.film, time, anchor)
     camera["first_keyframe"] = len(geometry.keyframes) + len(lights.keyframes)

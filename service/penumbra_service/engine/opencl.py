@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import AssetError, Assets, NoAssets
 from penumbra_kernels.compile.scene import CompiledScene, compile_scene
 from penumbra_kernels.device import BuildError, Device, DeviceError, DeviceInfo, devices
@@ -69,6 +70,7 @@ class OpenCLBackend:
 
     def __init__(self) -> None:
         self._device: Device | None = None
+        self._trees = Trees()
 
     def list(self) -> list[DeviceDescription]:
         return [describe(info) for info in devices()]
@@ -86,7 +88,7 @@ class OpenCLBackend:
         started = time.perf_counter()
         scene = Scene.model_validate_json(Path(spec.scene_path).read_bytes())
         try:
-            compiled = compile_scene(scene, assets_of(spec), spec.time)
+            compiled = compile_scene(scene, assets_of(spec), spec.time, self._trees)
         except (AssetError, ValueError) as error:  # too many of something, a matrix without an inverse
             raise SceneError(str(error)) from error
         seconds = time.perf_counter() - started

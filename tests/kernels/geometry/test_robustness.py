@@ -113,7 +113,7 @@ def test_both_builders_give_the_same_hits(probe: Any, kit: Any, monkeypatch: pyt
     swept = probe.trace(kit.compiled([shape], meshes), rays)
     plain = build.build_tree
     monkeypatch.setattr(
-        "penumbra_kernels.compile.geometry.build_tree", lambda *arguments: plain(*arguments, sweep_limit=0)
+        "penumbra_kernels.accel.trees.build_tree", lambda *arguments: plain(*arguments, sweep_limit=0)
     )
     assert _same(swept, probe.trace(kit.compiled([shape], meshes), rays))
 
