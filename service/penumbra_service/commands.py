@@ -76,6 +76,12 @@ def _configure_serve(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=int, help="TCP port (default 8484); 0 takes a free one")
     _add_data(parser)
     parser.add_argument("--devices", metavar="IDS", help="OpenCL devices, commas between them (default: all)")
+    parser.add_argument(
+        "--scheduler",
+        metavar="URL",
+        help="render on the farm of this Dask scheduler: tls://HOST:PORT, or tcp://127.0.0.1:PORT",
+    )
+    parser.add_argument("--tls", metavar="FOLDER", help="certificates for it, as `penumbra certs` makes them")
     parser.add_argument("--log-level", choices=("debug", "info", "warning", "error"), help="default: info")
 
 
@@ -88,6 +94,8 @@ def _serve(arguments: argparse.Namespace) -> int:
         port=arguments.port,
         data=arguments.data,
         devices=arguments.devices,
+        scheduler=arguments.scheduler,
+        tls=arguments.tls,
         log_level=arguments.log_level,
     )
     try:

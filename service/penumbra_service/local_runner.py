@@ -1,4 +1,4 @@
-"""Runs jobs on this machine's OpenCL devices, each of which lives in a process of its own."""
+"""Runs jobs on the devices of an engine: this machine's, or a farm's."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from penumbra_scene.job import DeviceStatus, ErrorPoint, JobState, Progress
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.local import LocalEngine
+from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.runner import Failure, Halt, JobRunner, RenderTask, RunResult
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.jobs.receipt import ReceiptContext
@@ -19,7 +20,8 @@ from penumbra_service.results import Latest, write_pictures, write_results
 from penumbra_service.running import Halt as Ask
 from penumbra_service.running import Outcome, Task
 from penumbra_service.service import decode_limits
-from penumbra_service.settings import Settings
+from penumbra_service.settings import Settings, SettingsError
+from penumbra_service.store.contents import contents_url
 
 log = logging.getLogger(__name__)
 
@@ -33,14 +35,28 @@ FAILURES: Final[dict[str, tuple[int, str]]] = {
 """HTTP status and title for each kind of engine.runner.Failure."""
 
 
+def engine_of(settings: Settings) -> ServedEngine:
+    """This machine's devices, or those of the farm whose scheduler the settings name. Raises SettingsError."""
+    if not settings.scheduler:
+        ids = [part.strip() for part in settings.devices.split(",") if part.strip()]
+        return LocalEngine(ids or None)
+    try:
+        from penumbra_service.engine.dask.engine import DaskEngine
+    except ImportError as error:
+        raise SettingsError(
+            f"scheduler: given {settings.scheduler!r}, which needs the extra 'farm' ({error}): "
+            "pip install 'penumbra-render[service,farm]'"
+        ) from error
+    return DaskEngine(settings.scheduler, contents_url(settings.artifacts), settings.tls_folder)
+
+
 class LocalRunner:
     """Implements running.Runner."""
 
     def __init__(self, settings: Settings) -> None:
-        ids = [part.strip() for part in settings.devices.split(",") if part.strip()]
         self._assets = settings.assets_folder
         self._decode = decode_limits(settings)
-        self._engine = LocalEngine(ids or None)
+        self._engine = engine_of(settings)
 
     def start(self) -> None:
         """Returns at once; devices come up by themselves."""

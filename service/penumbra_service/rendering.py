@@ -14,7 +14,6 @@ from penumbra_scene.exits import Exit
 from penumbra_scene.job import (
     DevicePage,
     DeviceState,
-    DeviceStatus,
     JobRequest,
     JobState,
     Progress,
@@ -26,6 +25,7 @@ from penumbra_service.commands import CommandError
 from penumbra_service.engine.local import LocalEngine, NoDeviceError, list_devices
 from penumbra_service.engine.protocol import Engine
 from penumbra_service.engine.runner import Failure, JobRunner, RenderTask
+from penumbra_service.engine.status import device_status
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.jobs.receipt import ReceiptContext
 from penumbra_service.results import ALL, Latest, write_results
@@ -51,23 +51,7 @@ def local_devices() -> DevicePage:
         found = list_devices()
     except NoDeviceError as error:
         raise CommandError(str(error), Exit.DEVICE) from error
-    return DevicePage(
-        items=tuple(
-            DeviceStatus(
-                id=device.id,
-                name=device.name,
-                platform=device.platform,
-                version=device.version,
-                driver=device.driver,
-                kind=device.kind,
-                compute_units=device.compute_units,
-                memory_bytes=device.memory_bytes,
-                bit_class=device.bit_class,
-                state=DeviceState.IDLE,
-            )
-            for device in found
-        )
-    )
+    return DevicePage(items=tuple(device_status(device, DeviceState.IDLE) for device in found))
 
 
 def render(

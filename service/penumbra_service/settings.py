@@ -47,6 +47,10 @@ class Settings:
     devices: str = ""
     """Which OpenCL devices work: identifiers with commas, as `penumbra devices` lists them;
     empty: all."""
+    scheduler: str = ""
+    """Address of the Dask scheduler whose workers render; empty: this machine's devices do."""
+    tls: str = ""
+    """Folder of certificates for a tls:// scheduler, as `penumbra certs` makes it."""
     max_body_bytes: int = limits.MAX_BODY_BYTES
     """Largest JSON body."""
     max_asset_bytes: int = limits.MAX_ASSET_BYTES
@@ -83,6 +87,11 @@ class Settings:
     def artifacts(self) -> str:
         """The fsspec URL in use."""
         return self.artifacts_url or str(self.data.absolute() / "results")
+
+    @property
+    def tls_folder(self) -> Path | None:
+        """The folder of certificates, if there is one."""
+        return Path(self.tls).expanduser() if self.tls else None
 
     @property
     def assets_folder(self) -> Path:

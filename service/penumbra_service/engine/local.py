@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 import subprocess
 import sys
 import threading
@@ -23,6 +22,7 @@ from typing import Any, Final
 from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.engine.protocol import (
+    NOBODY,
     DeviceDescription,
     FromDevice,
     Hello,
@@ -35,6 +35,7 @@ from penumbra_service.engine.protocol import (
     Started,
 )
 from penumbra_service.engine.slot import DeviceSlot
+from penumbra_service.engine.status import device_status
 from penumbra_service.jobs.dispatch import IN_FLIGHT, Dispatcher
 
 log = logging.getLogger(__name__)
@@ -45,8 +46,6 @@ LIST_SECONDS: Final = 120.0
 TICK_SECONDS: Final = 0.5
 """How often deadlines and restarts are looked at."""
 CLOSE_SECONDS: Final = 2.0
-RATE_SECONDS: Final = 10.0
-"""Of tracing, after which a lease counts 1/e of its samples and seconds in a device's shown rate."""
 
 
 class NoDeviceError(RuntimeError):
@@ -234,7 +233,7 @@ class LocalEngine:
     def _give_up(self, reason: str) -> None:
         for source in self._ordered():
             self.detach(source)
-            source.deliver(_NOBODY, NoDevice(reason))
+            source.deliver(NOBODY, NoDevice(reason))
 
     def _listen(self) -> None:
         by_connection = {slot.connection: slot for slot in self._slots if slot.connection is not None}
@@ -271,7 +270,7 @@ class LocalEngine:
                 held = slot.answered(lease)
                 if held is not None:
                     if isinstance(message, LeaseResult):
-                        _measure(slot, message)
+                        slot.rate.measure(message)
                     if self._attached(held.source):
                         held.source.deliver(slot.description, message)
             case _:
@@ -298,36 +297,13 @@ class LocalEngine:
                 entry.source.deliver(slot.description, lost)
 
 
-_NOBODY: Final = DeviceDescription("", "", "", "", "", "", 0, 0, "")
-
-
-def _measure(slot: DeviceSlot, result: LeaseResult) -> None:
-    if result.seconds <= 0:
-        return
-    samples = sum(node.sums.size * node.sample_count for node in result.nodes)
-    # Leases count by what they took: the mean of the rates of cheap and dear tiles would be far too high.
-    kept = math.exp(-result.seconds / RATE_SECONDS)
-    slot.recent_samples = kept * slot.recent_samples + samples
-    slot.recent_seconds = kept * slot.recent_seconds + result.seconds
-    slot.samples_per_second = slot.recent_samples / slot.recent_seconds
-
-
 def _status(slot: DeviceSlot) -> DeviceStatus:
-    d = slot.description
     held = next(iter(slot.held.values()), None)
-    return DeviceStatus(
-        id=d.id,
-        name=d.name,
-        platform=d.platform,
-        version=d.version,
-        driver=d.driver,
-        kind=d.kind,
-        compute_units=d.compute_units,
-        memory_bytes=d.memory_bytes,
-        bit_class=d.bit_class,
-        state=slot.state,
+    return device_status(
+        slot.description,
+        slot.state,
         job=held.lease.job if held else None,
         leases_done=slot.leases_done,
         crashes=slot.crashes,
-        samples_per_second=slot.samples_per_second,
+        samples_per_second=slot.rate.samples_per_second,
     )

@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 from penumbra_kernels.nodes import SumNode
+from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.dispatch import Bidder
@@ -60,6 +61,10 @@ class DeviceDescription:
     compute_units: int
     memory_bytes: int
     bit_class: str
+
+
+NOBODY: Final = DeviceDescription("", "", "", "", "", "", 0, 0, "")
+"""Where no device is meant: NoDevice comes from it."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +126,8 @@ class LeaseResult:
 @dataclass(frozen=True)
 class LeaseFailure:
     """The process lives, but could not do the lease. kind: 'scene' (an asset is missing or broken), 'build'
-    (the compiler refused), 'device' (the driver did), 'internal'."""
+    (the compiler refused), 'device' (the driver did, or a farm's worker cannot fetch the scene), 'storage' (the service
+    cannot put the scene where workers fetch it), 'internal'."""
 
     lease: str
     kind: str
@@ -169,7 +175,7 @@ class LeaseSource(Bidder, Protocol):
 
 
 class Engine(Protocol):
-    """Who runs leases."""
+    """Who runs leases: LocalEngine, DaskEngine."""
 
     def attach(self, source: LeaseSource) -> None:
         """Start to ask a job for leases."""
@@ -182,3 +188,20 @@ class Engine(Protocol):
 
     def usable(self) -> list[DeviceDescription]:
         """Devices that are up, or may come up again."""
+
+
+class ServedEngine(Engine, Protocol):
+    """An engine that a service keeps up."""
+
+    def start(self) -> None:
+        """Returns at once; devices come up by themselves."""
+
+    def stop(self) -> None:
+        """Leases under way are lost, which costs their work and nothing else."""
+
+    def devices(self) -> list[DeviceStatus]:
+        """Every device as it stands."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why nothing can be rendered now, if so."""

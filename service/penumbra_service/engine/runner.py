@@ -284,8 +284,8 @@ class JobRunner:
         self._tell(force=True)
 
     def _take_failure(self, device: DeviceDescription, failure: LeaseFailure) -> None:
-        if failure.kind == "scene":
-            raise RunFailedError("scene", failure.message)
+        if failure.kind in ("scene", "storage"):
+            raise RunFailedError(failure.kind, failure.message)
         self._give_back(failure.lease)
         if failure.kind != "build":
             self._crashed(f"device {device.id}: {failure.message}")

@@ -19,6 +19,7 @@ from typing import IO, Final
 from penumbra_scene.job import DeviceState
 
 from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseSource
+from penumbra_service.engine.rate import RunningRate
 
 log = logging.getLogger(__name__)
 
@@ -60,8 +61,7 @@ class DeviceSlot:
         self.deadline: float | None = None
         self.leases_done = 0
         self.crashes = 0
-        self.samples_per_second: float | None = None
-        self.recent_samples = self.recent_seconds = 0.0
+        self.rate = RunningRate()
         self.last_reason = ""
         self._command = command
         self._words: IO[bytes] | None = None

@@ -1,8 +1,9 @@
 """A device process without OpenCL: its 'samples' are hashes of (seed, pixel, replicate, sample index).
 
-The scene's name says how it behaves: words among slow, crash-load, crash-trace, hang, rejected, bad-scene,
-bad-build, bad-device. The environment's FAKE_DEVICES names the devices (commas), FAKE_BROKEN those that cannot be
-opened.
+The scene's name says how it behaves: words among slow, steady (so many samples a second), crash-load, crash-trace, hang,
+rejected, bad-scene, bad-build, bad-device. In the environment FAKE_DEVICES names the devices (commas), FAKE_BROKEN those
+that cannot be opened, FAKE_RATE is the samples a second of a steady scene, FAKE_BIT_CLASS the devices' bit class, and
+FAKE_HABIT what a device does whatever the scene: garbage (wrong sums) or refuse (the driver has no memory).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from penumbra_service.engine.device_process import (
 from penumbra_service.engine.protocol import DeviceDescription, RenderSpec
 
 SLOW_SECONDS = 0.05
+HABIT = os.environ.get("FAKE_HABIT", "")
+RATE = float(os.environ.get("FAKE_RATE", "2e6"))
 
 
 def _uniform(seed: int, tile: Tile, replicates: int, index: int) -> NDArray[np.float32]:
@@ -52,13 +55,18 @@ class FakeScene:
     def trace(self, tile: Tile, first: int, count: int) -> SumNode:
         if "slow" in self.scene.name:
             time.sleep(SLOW_SECONDS)
+        if "steady" in self.scene.name:
+            time.sleep(count * tile.width * tile.height * self.spec.replicates / RATE)
         if "crash-trace" in self.scene.name:
             os.abort()
         if "hang" in self.scene.name:
             time.sleep(1000)
-        if "bad-device" in self.scene.name:
+        if "bad-device" in self.scene.name or HABIT == "refuse":
             raise DeviceRefusedError("out of resources")
-        return self._node(tile, first, count)
+        node = self._node(tile, first, count)
+        if HABIT == "garbage":
+            node.sums["rgba"][..., 0, 0, 0] += 1
+        return node
 
     def _node(self, tile: Tile, first: int, count: int) -> SumNode:
         if count > 1:
@@ -99,7 +107,8 @@ class FakeBackend:
 
 
 def _describe(name: str) -> DeviceDescription:
-    return DeviceDescription(name, f"Fake {name}", "Fake", "1.0", "1.0", "cpu", 1, 1 << 30, "fake|1.0")
+    bit_class = os.environ.get("FAKE_BIT_CLASS", "fake|1.0")
+    return DeviceDescription(name, f"Fake {name}", "Fake", "1.0", "1.0", "cpu", 1, 1 << 30, bit_class)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,375 @@
+"""The engine of a farm: devices of other processes and machines, reached through a Dask scheduler.
+
+Implements protocol.Engine. One thread runs an event loop and all that is here. It chooses whose lease goes to which
+device; to Dask a lease is a task pinned to one worker, and a worker has two at most: so Dask's own scheduling, stealing
+and suspicion of tasks on dying workers have nothing to decide.
+
+Whatever is lost on the way (a worker, the scheduler, a connection) comes back to the job as LeaseLost, unblamed: the
+lease is issued again and the picture has the same bits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+import time
+import uuid
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from distributed import Client
+from penumbra_scene.job import DeviceStatus
+
+from penumbra_service.engine.dask.addresses import check_scheduler, security
+from penumbra_service.engine.dask.agent import describe_worker, do_lease
+from penumbra_service.engine.dask.remote import PING_SECONDS, Carried, RemoteDevice
+from penumbra_service.engine.dask.wire import (
+    Answer,
+    Contents,
+    FarmLease,
+    Joined,
+    NotPortableError,
+    loaded_from_event,
+    publish,
+)
+from penumbra_service.engine.protocol import (
+    NOBODY,
+    DeviceDescription,
+    LeaseFailure,
+    LeaseLost,
+    LeaseResult,
+    LeaseSource,
+    NoDevice,
+    RenderSpec,
+    ToJob,
+)
+from penumbra_service.engine.snapshot import kernel_hash
+from penumbra_service.jobs.dispatch import IN_FLIGHT, Dispatcher
+from penumbra_service.store.contents import ContentStore
+
+log = logging.getLogger(__name__)
+
+CONNECT_SECONDS: Final = 10.0
+RETRY_SECONDS: Final = 1.0
+"""Wait before the scheduler is looked for again."""
+TICK_SECONDS: Final = 0.5
+"""How often quiet workers and the connection are looked at."""
+JOIN_SECONDS: Final = 180.0
+"""A worker may take so long to say what it drives."""
+
+
+class DaskEngine:
+    """`scheduler`: tls://host:port, or tcp:// on this machine; `contents`: URL of the store that workers fetch scenes
+    from; `tls`: folder of certificates. Raises SettingsError for an address that may not be used."""
+
+    def __init__(self, scheduler: str, contents: str, tls: Path | None = None) -> None:
+        self._scheduler = check_scheduler(scheduler, tls)
+        self._security = security(tls if scheduler.startswith("tls:") else None, "client")
+        self._contents_url = contents
+        self._contents = ContentStore(contents)
+        self._topic = f"penumbra-{uuid.uuid4().hex}"
+        self._dispatcher: Dispatcher[LeaseSource] = Dispatcher()
+        self._lock = threading.Lock()
+        self._devices: dict[str, RemoteDevice] = {}
+        self._joining: set[str] = set()
+        self._published: dict[str, asyncio.Task[Contents]] = {}
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._woken: asyncio.Event | None = None
+        self._thread: threading.Thread | None = None
+        self._stopping = False
+        self._connected = False
+        self._failed: str | None = None
+        self._leases = 0
+
+    def start(self) -> None:
+        """Look for the scheduler; returns at once. Attached jobs wait for workers."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="penumbra-farm", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Leave the farm; its workers stay. Leases under way are lost, which costs their work and nothing else."""
+        self._stopping = True
+        self.wake()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def __enter__(self) -> DaskEngine:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def attach(self, source: LeaseSource) -> None:
+        """Start to ask a job for leases."""
+        with self._lock:
+            self._dispatcher.attach(source)
+        self.wake()
+
+    def detach(self, source: LeaseSource) -> None:
+        """Ask it no more; answers to its leases are thrown away."""
+        with self._lock:
+            self._dispatcher.detach(source)
+
+    def wake(self) -> None:
+        """Jobs may have new leases."""
+        loop, woken = self._loop, self._woken
+        if loop is not None and woken is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(woken.set)
+
+    def usable(self) -> list[DeviceDescription]:
+        """Devices that are up."""
+        return [device.description for device in list(self._devices.values()) if not device.hung]
+
+    def devices(self) -> list[DeviceStatus]:
+        """Every device as it stands."""
+        return [device.status for device in list(self._devices.values())]
+
+    @property
+    def problem(self) -> str | None:
+        """Why nothing can be rendered now, if so. Jobs wait: a scheduler and workers may come yet."""
+        if self._failed is not None:
+            return self._failed
+        if not self._connected:
+            return f"the scheduler at {self._scheduler} does not answer"
+        return None if self._devices else f"the scheduler at {self._scheduler} has no worker yet"
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._stay_connected())
+        except Exception:
+            log.exception("the farm engine's thread ended")
+            self._failed = "the engine failed; its log says why"
+            for source in self._sources():
+                self.detach(source)
+                source.deliver(NOBODY, NoDevice(self._failed))
+
+    async def _stay_connected(self) -> None:
+        self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
+        while not self._stopping:
+            try:
+                async with Client(
+                    self._scheduler,
+                    asynchronous=True,
+                    security=self._security,
+                    direct_to_workers=True,
+                    set_as_default=False,
+                    timeout=CONNECT_SECONDS,
+                    name="penumbra",
+                ) as client:
+                    await self._session(client)
+            except (OSError, TimeoutError) as error:
+                log.warning("the scheduler at %s: %s", self._scheduler, error)
+            self._connected = False
+            self._lose(list(self._devices.values()), "the connection to the scheduler was lost")
+            if not self._stopping:
+                await asyncio.sleep(RETRY_SECONDS)
+
+    async def _session(self, client: Client) -> None:
+        """Until the scheduler is gone or the engine stops."""
+        assert self._woken is not None
+        client.subscribe_topic("all", lambda event: self._membership(client, event[1]))
+        client.subscribe_topic(self._topic, lambda event: self._scene_loaded(event[1]))
+        known = await client.scheduler.identity(n_workers=-1)
+        log.info("connected to the scheduler at %s: %d workers", self._scheduler, len(known["workers"]))
+        self._connected = True
+        for address in known["workers"]:
+            self._join(client, address)
+        while not self._stopping and client.status == "running":
+            self._feed(client)
+            self._ping_quiet(client)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._woken.wait(), TICK_SECONDS)
+            self._woken.clear()
+        if client.status == "running":
+            for topic in ("all", self._topic):
+                client.unsubscribe_topic(topic)
+
+    def _membership(self, client: Client, event: dict[str, Any]) -> None:
+        """A worker has come or gone."""
+        address = event.get("worker")
+        if event.get("action") == "add-worker" and address:
+            self._join(client, address)
+        elif event.get("action") == "remove-worker" and address in self._devices:
+            device = self._devices[address]
+            log.warning("worker %s has gone", device.description.id)
+            self._lose([device], f"the worker of device {device.description.id} has gone")
+
+    def _join(self, client: Client, address: str) -> None:
+        if address not in self._devices and address not in self._joining:
+            self._joining.add(address)
+            self._spawn(self._greet(client, address))
+
+    async def _greet(self, client: Client, address: str) -> None:
+        """Ask a worker what it drives, and take it in if its kernels are ours."""
+        future = client.submit(
+            describe_worker, key=f"penumbra-describe-{uuid.uuid4().hex}", workers=[address], pure=False
+        )
+        try:
+            joined: Joined = await asyncio.wait_for(future.result(), JOIN_SECONDS)
+        except Exception as error:
+            log.warning("worker %s is left out: %s", address, error)
+            return
+        finally:
+            self._joining.discard(address)
+            future.release()
+        if joined.kernel_hash != kernel_hash():
+            log.warning(
+                "worker %s is left out: its kernels (version %s) are not those of this service",
+                joined.device.id,
+                joined.version,
+            )
+            return
+        self._devices[address] = RemoteDevice(address, joined.device)
+        log.info("worker %s has joined", joined.device.id)
+        self.wake()
+
+    def _feed(self, client: Client) -> None:
+        # One lease each in turn, so that the last ones spread over the devices.
+        for _ in range(IN_FLIGHT):
+            for device in list(self._devices.values()):
+                if not device.hung and len(device.held) < IN_FLIGHT:
+                    self._feed_one(client, device)
+
+    def _feed_one(self, client: Client, device: RemoteDevice) -> None:
+        name = device.description.id
+        with self._lock:
+            sources = self._dispatcher.order(name)
+        for source in sources:
+            lease = source.next_lease(device.description)
+            if lease is None:
+                continue
+            with self._lock:
+                self._dispatcher.gave(name, source)
+            if not device.held:
+                device.hear()  # silence counts from now on
+            carried = device.held[lease.id] = Carried(lease, source)
+            carried.task = self._spawn(self._carry(client, device, carried))
+            return
+
+    async def _carry(self, client: Client, device: RemoteDevice, carried: Carried) -> None:
+        """Take a lease to its worker and the answer to its job."""
+        try:
+            contents = await self._contents_of(carried.lease.spec)
+        except (OSError, NotPortableError) as error:
+            kind = "storage" if isinstance(error, OSError) else "scene"
+            self._answered(
+                device, LeaseFailure(carried.lease.id, kind, f"the scene cannot be published: {error}")
+            )
+            return
+        self._leases += 1
+        future = client.submit(
+            do_lease,
+            FarmLease(carried.lease, contents, self._topic),
+            key=f"{self._topic}-{self._leases}",
+            workers=[device.address],
+            pure=False,
+        )
+        try:
+            self._answered(device, await future.result())
+        except Exception as error:
+            if device.held.get(carried.lease.id) is carried:
+                reason = (
+                    f"the worker of device {device.description.id} failed: {type(error).__name__}: {error}"
+                )
+                self._answered(device, LeaseLost(carried.lease.id, device.description.id, False, reason))
+        finally:
+            future.release()
+
+    async def _contents_of(self, spec: RenderSpec) -> Contents:
+        """Where workers find a spec's scene; it is published once. Raises OSError, NotPortableError."""
+        key = f"{spec.key} {spec.scene_path}"
+        task = self._published.get(key)
+        if task is None or (task.done() and (task.cancelled() or task.exception() is not None)):
+            work = asyncio.to_thread(publish, spec, self._contents, self._contents_url)
+            task = self._published[key] = asyncio.create_task(work)
+        return await asyncio.shield(task)
+
+    def _scene_loaded(self, event: dict[str, Any]) -> None:
+        loaded = loaded_from_event(event)
+        device = self._devices.get(str(event.get("worker")))
+        if device is None:
+            return
+        device.hear()
+        source = next((c.source for c in device.held.values() if c.lease.job == loaded.job), None)
+        if source is not None and self._attached(source):
+            source.deliver(device.description, loaded)
+
+    def _answered(self, device: RemoteDevice, answer: Answer) -> None:
+        device.hear()
+        carried = device.held.pop(answer.lease, None)
+        self.wake()
+        if carried is None:
+            return
+        if isinstance(answer, LeaseResult):
+            device.leases_done += 1
+            device.rate.measure(answer)
+        if isinstance(answer, LeaseLost):
+            device.crashes += answer.blamed
+            answer = replace(answer, device=device.description.id)
+            with self._lock:
+                self._dispatcher.forget(device.description.id)
+        self._deliver(device, carried.source, answer)
+
+    def _deliver(self, device: RemoteDevice, source: LeaseSource, event: ToJob) -> None:
+        if self._attached(source):
+            source.deliver(device.description, event)
+
+    def _sources(self) -> list[LeaseSource]:
+        with self._lock:
+            return self._dispatcher.order()
+
+    def _attached(self, source: LeaseSource) -> bool:
+        with self._lock:
+            return source in self._dispatcher
+
+    def _ping_quiet(self, client: Client) -> None:
+        now = time.monotonic()
+        for device in self._devices.values():
+            if device.wants_ping(now):
+                device.heard = now  # the next question comes no earlier
+                self._spawn(self._ping(client, device))
+
+    async def _ping(self, client: Client, device: RemoteDevice) -> None:
+        """Our own look at a worker: the scheduler's takes five minutes unless it is told otherwise."""
+        try:
+            await asyncio.wait_for(client.rpc(device.address).identity(), PING_SECONDS)
+        except (OSError, TimeoutError):
+            device.unanswered += 1
+        else:
+            device.hear()
+            return
+        if device.hung and device.held:
+            log.warning("worker %s does not answer", device.description.id)
+            self._take_back(device, f"the worker of device {device.description.id} did not answer in time")
+
+    def _lose(self, devices: Iterable[RemoteDevice], reason: str) -> None:
+        """Workers are out of reach: their leases go back to their jobs."""
+        for device in devices:
+            self._devices.pop(device.address, None)
+            self._take_back(device, reason)
+
+    def _take_back(self, device: RemoteDevice, reason: str) -> None:
+        with self._lock:
+            self._dispatcher.forget(device.description.id)
+        held = list(device.held.values())
+        device.held.clear()
+        for carried in held:
+            if carried.task is not None:
+                carried.task.cancel()
+            lost = LeaseLost(carried.lease.id, device.description.id, False, reason)
+            self._deliver(device, carried.source, lost)
+
+    def _spawn(self, work: Any) -> asyncio.Task[Any]:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task

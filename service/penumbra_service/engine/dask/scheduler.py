@@ -1,0 +1,76 @@
+"""`penumbra scheduler`: a Dask scheduler that may only be reached by whoever shows a certificate, or on loopback.
+
+Dask's own command listens on every interface and asks nobody who he is; whoever reaches it runs code.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import dask
+from distributed import Scheduler
+
+from penumbra_service.engine.dask.addresses import DEFAULT_PORT, security
+from penumbra_service.settings import SettingsError, is_loopback
+
+STATUS_PORT: Final = 8787
+CONFIG: Final = {
+    # Leases are pinned: there is nothing to steal, and no task to be suspected of killing its worker.
+    "distributed.scheduler.work-stealing": False,
+    "distributed.scheduler.allowed-failures": 1_000_000,
+    "distributed.admin.low-level-log-length": 1000,
+    "distributed.logging.distributed": "warning",
+}
+
+
+@dataclass(frozen=True)
+class SchedulerOptions:
+    """What `penumbra scheduler` was told."""
+
+    host: str = "127.0.0.1"
+    port: int = DEFAULT_PORT
+    tls: Path | None = None
+    status_port: int = STATUS_PORT
+    """On loopback: /health and Prometheus metrics."""
+    worker_ttl: float = 20.0
+    """Seconds of silence after which a worker is given up."""
+
+
+def serve_scheduler(options: SchedulerOptions) -> None:
+    """Run until SIGTERM or SIGINT. Raises SettingsError, OSError where the address cannot be had."""
+    if options.tls is None and not is_loopback(options.host):
+        raise SettingsError(
+            f"tls: none given, and other machines can reach the host {options.host!r}: whoever reaches a scheduler "
+            "without TLS runs code on every worker; accepted: --tls FOLDER (`penumbra certs` makes it), or --host "
+            "127.0.0.1"
+        )
+    logging.basicConfig(level="INFO", format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    logging.getLogger("distributed").setLevel("WARNING")
+    dask.config.set({**CONFIG, "distributed.scheduler.worker-ttl": f"{options.worker_ttl} s"})
+    asyncio.run(_serve(options))
+
+
+async def _serve(options: SchedulerOptions) -> None:
+    leave = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, leave.set)
+    scheduler = Scheduler(
+        host=options.host,
+        port=options.port,
+        protocol="tls" if options.tls else "tcp",
+        security=security(options.tls, "scheduler"),
+        dashboard_address=f"127.0.0.1:{options.status_port}",
+        dashboard=False,
+    )
+    async with scheduler:
+        print(f"Penumbra scheduler listens on {scheduler.address}", flush=True)
+        ended = asyncio.ensure_future(scheduler.finished())
+        told = asyncio.ensure_future(leave.wait())
+        await asyncio.wait((ended, told), return_when=asyncio.FIRST_COMPLETED)
+        for waiting in (ended, told):
+            waiting.cancel()

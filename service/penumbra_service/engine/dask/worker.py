@@ -1,0 +1,137 @@
+"""The process of one farm worker: `python -m penumbra_service.engine.dask.worker --scheduler URL --device ID ...`.
+
+A Dask worker with as many threads as leases are in flight, and an agent that drives one OpenCL device in a child
+process. There is no Dask nanny: `penumbra worker` (supervisor.py) starts this process, and again when it ends, which
+Dask's own processes do not survive when their scheduler is killed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import signal
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import dask
+from distributed import Worker
+
+from penumbra_service.engine.dask.addresses import check_scheduler, security
+from penumbra_service.engine.dask.agent import Agent, set_agent
+from penumbra_service.engine.device_process import die_with
+from penumbra_service.engine.local import DEVICE_COMMAND
+from penumbra_service.jobs.dispatch import IN_FLIGHT
+from penumbra_service.settings import SettingsError
+
+log = logging.getLogger(__name__)
+
+NO_DEVICE: Final = 7
+"""Exit status when the device cannot be started any more."""
+CONNECT_SECONDS: Final = 60.0
+"""A worker looks for its scheduler so long before it ends, to be started anew."""
+CONFIG: Final = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.logging.distributed": "warning",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The process's whole life; returns its exit status."""
+    options = _parser().parse_args(arguments)
+    if options.parent:
+        die_with(options.parent)
+    logging.basicConfig(level="INFO", format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    for name in ("distributed.core", "distributed.worker"):
+        logging.getLogger(name).setLevel("WARNING")
+    dask.config.set(CONFIG)
+    try:
+        return asyncio.run(_work(options))
+    except SettingsError as error:
+        print(f"penumbra worker: {error}", file=sys.stderr)
+        return 2
+    except (OSError, TimeoutError) as error:
+        log.warning("no scheduler at %s: %s", options.scheduler, error)
+        return 4
+
+
+async def _work(options: argparse.Namespace) -> int:
+    scheduler = check_scheduler(options.scheduler, options.tls)
+    leave, reasons = asyncio.Event(), []
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, leave.set)
+
+    def lost(reason: str) -> None:
+        reasons.append(reason)
+        loop.call_soon_threadsafe(leave.set)
+
+    agent = Agent(
+        options.device,
+        options.name,
+        options.cache,
+        cache_bytes=options.cache_bytes,
+        contents=options.contents,
+        command=options.device_command or DEVICE_COMMAND,
+        on_lost=lost,
+    )
+    set_agent(agent)
+    agent.start()
+    try:
+        await _serve(scheduler, options, leave)
+    finally:
+        await asyncio.to_thread(agent.stop)
+    if reasons:
+        log.error("device %s is lost: %s", options.device, reasons[0])
+    return NO_DEVICE if reasons else 0
+
+
+async def _serve(scheduler: str, options: argparse.Namespace, leave: asyncio.Event) -> None:
+    """A Dask worker until it is told to leave or its scheduler is gone."""
+    plain = scheduler.startswith("tcp:")
+    with tempfile.TemporaryDirectory(prefix="penumbra-worker-") as folder:
+        worker = Worker(
+            scheduler,
+            nthreads=IN_FLIGHT,
+            host="127.0.0.1" if plain else options.host,
+            port=options.port,
+            security=security(None if plain else options.tls, "worker"),
+            dashboard_address="127.0.0.1:0",  # its pages ask nobody who he is
+            local_directory=folder,
+            memory_limit=0,  # answers are fetched at once: nothing is to be spilled, no device to be paused
+            death_timeout=CONNECT_SECONDS,
+        )
+        async with worker:
+            ended = asyncio.ensure_future(worker.finished())
+            told = asyncio.ensure_future(leave.wait())
+            await asyncio.wait((ended, told), return_when=asyncio.FIRST_COMPLETED)
+            for waiting in (ended, told):
+                waiting.cancel()
+            with contextlib.suppress(OSError, TimeoutError):
+                await worker.close(timeout=2, executor_wait=False)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="worker", description="Drives one OpenCL device in a farm.")
+    parser.add_argument("--scheduler", required=True)
+    parser.add_argument("--tls", type=Path)
+    parser.add_argument("--device", required=True)
+    parser.add_argument("--name", required=True)
+    parser.add_argument("--host")
+    parser.add_argument("--port", default=0)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--cache-bytes", type=int, required=True)
+    parser.add_argument("--contents")
+    parser.add_argument("--parent", type=int, default=0)
+    parser.add_argument("--device-command", nargs="+", help="another device process, for tests")
+    return parser
+
+
+if __name__ == "__main__":
+    from penumbra_service.engine.dask import worker
+
+    sys.exit(worker.main())

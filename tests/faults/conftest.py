@@ -1,0 +1,187 @@
+"""A farm of separate processes on loopback: a scheduler, workers on fake devices, and the service's engine here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from penumbra_scene.job import JobState, Progress
+from penumbra_scene.scene import Scene
+from penumbra_service.engine.dask.engine import DaskEngine
+from penumbra_service.engine.local import LocalEngine
+from penumbra_service.engine.runner import JobRunner, RenderTask, RunResult
+
+FAKE = Path(__file__).parents[1] / "service" / "engine" / "fake_device.py"
+PATIENCE = 120.0
+"""Seconds for anything that a busy machine takes its time for."""
+_SCHEDULER = """
+import sys
+from penumbra_service.engine.dask.scheduler import SchedulerOptions, serve_scheduler
+serve_scheduler(SchedulerOptions(port=int(sys.argv[1]), status_port=0))
+"""
+_WORKER = """
+import sys
+from pathlib import Path
+from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
+scheduler, name, cache, device = sys.argv[1:5]
+supervise(WorkerOptions(scheduler, devices=(device,), name=name, cache=Path(cache), device_command=tuple(sys.argv[5:])))
+"""
+
+
+def free_port() -> int:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+class Farm:
+    """Starts and ends the processes; `engine` is the service's side."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = free_port()
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self.processes: dict[str, subprocess.Popen[str]] = {}
+        self.engine = DaskEngine(self.address, str(folder / "contents"))
+        self.start_scheduler()
+        self.engine.start()
+
+    def start_scheduler(self) -> None:
+        self._start("scheduler", [sys.executable, "-c", _SCHEDULER, str(self.port)])
+
+    def add_worker(
+        self, name: str, device: str = "fake:0", command: tuple[str, ...] = (), **variables: str
+    ) -> None:
+        command = command or (sys.executable, str(FAKE))
+        words = [self.address, name, str(self.folder / f"cache-{name}"), device, *command]
+        self._start(name, [sys.executable, "-c", _WORKER, *words], FAKE_DEVICES=device, **variables)
+
+    def wait_for(self, *names: str) -> None:
+        self.wait_until(lambda: set(names) <= self.up(), f"workers {names} have joined")
+
+    def wait_until(self, holds: Callable[[], Any], what: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not holds():
+            assert time.monotonic() < end, f"waited in vain until {what}"
+            time.sleep(0.02)
+
+    def run(
+        self, task: RenderTask, disturb: Callable[[], object] | None = None, share: float = 0.3
+    ) -> RunResult:
+        """The job on this farm; `disturb` is called once, when this share of it is done."""
+        left = [disturb] if disturb else []
+
+        def look(state: JobState, progress: Progress) -> None:
+            if left and progress.progress >= share:
+                threading.Thread(target=left.pop()).start()
+
+        result = JobRunner(self.engine, task, on_progress=look).run()
+        assert result.state is JobState.FINISHING, result.failure
+        assert not left, "the job was done before it could be disturbed"
+        return result
+
+    def up(self) -> set[str]:
+        """Names of the workers that have joined and answer."""
+        return {device.id.partition("@")[2] for device in self.engine.usable()}
+
+    def worker_pid(self, name: str) -> int:
+        """The Dask worker's process, a child of the one that keeps it up."""
+        return children(self.processes[name].pid)[0]
+
+    def kill(self, name: str) -> None:
+        """SIGKILL to the process that was started under this name, and with it to all below it."""
+        process = self.processes.pop(name)
+        process.kill()
+        process.wait()
+
+    def close(self) -> None:
+        self.engine.stop()
+        for process in self.processes.values():
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGCONT)
+                process.terminate()
+        for process in self.processes.values():
+            try:
+                process.wait(15)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _start(self, name: str, command: list[str], **variables: str) -> None:
+        log = (self.folder / f"{name}.log").open("a")
+        self.processes[name] = subprocess.Popen(
+            command, env={**os.environ, **variables}, stdout=log, stderr=log, text=True
+        )
+        log.close()
+
+
+def children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+@pytest.fixture(scope="module")
+def farm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Farm]:
+    """A scheduler and two workers, one and two."""
+    farm = Farm(tmp_path_factory.mktemp("farm"))
+    try:
+        for name in ("one", "two"):
+            farm.add_worker(name)
+        yield farm
+    finally:
+        farm.close()
+
+
+def _task(parent: Path, name: str, folder: str, **sections: Any) -> RenderTask:
+    scene = {
+        "version": 1,
+        "name": name,
+        "camera": {"type": "perspective"},
+        "film": {"width": 128, "height": 128},
+        "sampler": {"type": "independent"},
+        "stop": {"samples": 512},
+        **sections,
+    }
+    return RenderTask(folder, Scene.model_validate(scene), parent / folder)
+
+
+@pytest.fixture
+def make_task(tmp_path: Path) -> Callable[..., RenderTask]:
+    """make_task(name, folder, stop={...}): words of `name` say how fake devices behave."""
+
+    def make(name: str = "steady", folder: str = "job", **sections: Any) -> RenderTask:
+        return _task(tmp_path, name, folder, **sections)
+
+    return make
+
+
+def _picture(result: RunResult) -> dict[str, bytes]:
+    channels: dict[str, list[bytes]] = {}
+    for band in result.bands():
+        for name, values in (*band.floats.items(), *band.integers.items()):
+            channels.setdefault(name, []).append(values.tobytes())
+    return {name: b"".join(rows) for name, rows in channels.items()}
+
+
+@pytest.fixture(scope="session")
+def picture() -> Callable[[RunResult], dict[str, bytes]]:
+    """picture(result): the bytes of every channel of a finished run."""
+    return _picture
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What the job of make_task("steady") gives on this machine alone."""
+    command = (sys.executable, str(FAKE))
+    with LocalEngine(command=command) as engine:
+        result = JobRunner(engine, _task(tmp_path_factory.mktemp("undisturbed"), "plain", "job")).run()
+    return _picture(result)
