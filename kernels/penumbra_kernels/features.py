@@ -29,6 +29,7 @@ EFFECTS: Final = (
     "area_lights",
     "delta_lights",
     "many_lights",
+    "light_tree",
     "environment",
     "environment_image",
     "gloss",
@@ -40,6 +41,8 @@ EFFECTS: Final = (
 """Every effect that a program can do without, by the name of its PENUMBRA_* flag in lower case."""
 
 GLOSSY: Final = frozenset({"phong", "mirror", "conductor", "plastic", "dielectric", "thin_dielectric"})
+TREE_LIGHTS: Final = 4
+"""From how many lights on the tree is the better choice where the scene names none (docs/lights.md)."""
 TRANSMITTING: Final = frozenset({"dielectric", "thin_dielectric", "diffuse_transmission"})
 
 
@@ -192,10 +195,28 @@ def _emitter_count(scene: Scene) -> int:
     return count
 
 
+def _light_count(scene: Scene) -> int:
+    return _emitter_count(scene) + len(scene.lights) + (scene.environment is not None)
+
+
 def _many_lights(scene: Scene, time: float) -> Iterable[str]:
-    count = _emitter_count(scene) + len(scene.lights) + (scene.environment is not None)
+    count = _light_count(scene)
     if count > 1:
         yield f"there are {count} lights to choose from"
+
+
+def light_selection(scene: Scene) -> str:
+    """How lights are chosen: what the scene says, or what serves its number of lights."""
+    said = scene.integrator.light_selection
+    if said != "auto":
+        return said
+    return "tree" if _light_count(scene) >= TREE_LIGHTS else "power"
+
+
+def _light_tree(scene: Scene, time: float) -> Iterable[str]:
+    count = _light_count(scene)
+    if count > 1 and light_selection(scene) == "tree":
+        yield f"{count} lights are chosen by the light tree"
 
 
 def _environment(scene: Scene, time: float) -> Iterable[str]:
@@ -250,6 +271,7 @@ _FINDERS: Final = {
     "area_lights": _area_lights,
     "delta_lights": _delta_lights,
     "many_lights": _many_lights,
+    "light_tree": _light_tree,
     "environment": _environment,
     "environment_image": _environment_image,
     "gloss": _gloss,

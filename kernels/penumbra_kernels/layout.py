@@ -284,7 +284,32 @@ LIGHT: Final = np.dtype(
         ("keyframe_count", np.uint32),  # 0: still
         ("width", np.uint32),  # texels of an image environment, 0 of a constant one
         ("height", np.uint32),
-        ("pad0", np.uint32),
+        ("leaf", np.uint32),  # its place in the light tree's order, or NONE: the tree never chooses it
+    ]
+)
+
+LIGHT_NODE: Final = np.dtype(
+    [
+        # Bounds of the lights below each of eight children (lights/tree.cl). A sphere holds their places over the
+        # shutter interval; a negative radius: infinitely far, the center is the mean direction to them, unit.
+        ("x", np.float32, (8,)),
+        ("y", np.float32, (8,)),
+        ("z", np.float32, (8,)),
+        ("radius", np.float32, (8,)),
+        # All that they emit goes within the angle `spread + falloff` of the axis, and from normals within `spread` of
+        # it. Of far lights: every direction to them is within `spread` of the center.
+        ("axis_x", np.float32, (8,)),
+        ("axis_y", np.float32, (8,)),
+        ("axis_z", np.float32, (8,)),
+        ("cos_spread", np.float32, (8,)),
+        ("cos_falloff", np.float32, (8,)),
+        (
+            "strength",
+            np.float32,
+            (8,),
+        ),  # radiant intensity, of far lights irradiance: shares of each kind's total
+        ("child", np.uint32, (8,)),  # inner: index of a node; with LEAF_FLAG: of a light
+        ("count", np.uint32, (8,)),  # lights below; 0: no child
     ]
 )
 
@@ -319,6 +344,7 @@ STRUCTS: Final[dict[str, np.dtype[Any]]] = {
     "Material": MATERIAL,
     "Texture": TEXTURE,
     "Light": LIGHT,
+    "LightNode": LIGHT_NODE,
     "Alias": ALIAS,
 }
 
@@ -367,6 +393,7 @@ CONSTANTS: Final[dict[str, int]] = {
     "LIGHT_TWO_SIDED": 1,
     "OPTION_ALL_LIGHTS": 1,  # every light at every hit, instead of picks
     "OPTION_NO_MIS": 2,
+    "OPTION_LIGHT_TREE": 4,  # picks by the light tree, not by the table
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

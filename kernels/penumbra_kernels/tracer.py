@@ -64,6 +64,7 @@ ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("textures", _has("TEXTURES")),
     ("texels", _has("TEXTURES")),
     ("light_table", _has("MANY_LIGHTS")),
+    ("light_nodes", _has("LIGHT_TREE")),
     ("emitter_cdf", _has("AREA_LIGHTS")),
     ("environment", _has("ENVIRONMENT")),
     ("counts", lambda flags: flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]),

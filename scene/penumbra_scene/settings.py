@@ -18,10 +18,11 @@ class Integrator(Model):
     """Reflections and transmissions that a path may make after the first hit; 0 is direct light only."""
     roulette_start: Annotated[int, Field(ge=0, le=limits.MAX_BOUNCES), NotBoolean] = 4
     """Bounces before Russian roulette may end a path; survival is min(1, throughput)."""
-    light_selection: Literal["all", "uniform", "power"] = "power"
-    """Which lights a hit asks: every one, or `shadow_rays` picks by equal chance or by power."""
+    light_selection: Literal["auto", "all", "uniform", "power", "tree"] = "auto"
+    """Which lights a hit asks: every one, or `shadow_rays` picks by equal chance, by power, or by a light tree, which
+    also knows where they are. `auto` is the tree from 4 lights on, and power below."""
     shadow_rays: Annotated[int, Field(ge=1, le=limits.MAX_SHADOW_RAYS), NotBoolean] = 1
-    """Shadow rays per light (all), or picks per hit (uniform, power)."""
+    """Shadow rays per light (all), or picks per hit (uniform, power, tree)."""
     light_sampling: Literal["solid_angle", "area"] = "solid_angle"
     """The density on an area light: uniform in the solid angle that it subtends, or uniform over its area."""
     mis: Bool = True

@@ -92,6 +92,23 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("an area light", {"shapes": [{"type": "quad", "emission": {"radiance": 1}}]}, {"area_lights"}),
     ("a point light", {"lights": [{"type": "point"}]}, {"delta_lights"}),
     ("two lights", {"lights": [{"type": "point"}, {"type": "spot"}]}, {"delta_lights", "many_lights"}),
+    (
+        "two lights and a tree",
+        {"lights": [{"type": "point"}] * 2, "integrator": {"max_bounces": 0, "light_selection": "tree"}},
+        {"delta_lights", "many_lights", "light_tree"},
+    ),
+    (
+        "a tree over one light",
+        {"lights": [{"type": "point"}], "integrator": {"max_bounces": 0, "light_selection": "tree"}},
+        {"delta_lights"},
+    ),
+    ("three lights", {"lights": [{"type": "point"}] * 3}, {"delta_lights", "many_lights"}),
+    ("four lights", {"lights": [{"type": "point"}] * 4}, {"delta_lights", "many_lights", "light_tree"}),
+    (
+        "four lights by power",
+        {"lights": [{"type": "point"}] * 4, "integrator": {"max_bounces": 0, "light_selection": "power"}},
+        {"delta_lights", "many_lights"},
+    ),
     ("a sky", {"environment": {"type": "constant"}}, {"environment"}),
     (
         "an image of a sky",

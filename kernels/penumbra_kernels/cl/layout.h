@@ -44,6 +44,7 @@
 #define LIGHT_TWO_SIDED 1u
 #define OPTION_ALL_LIGHTS 1u
 #define OPTION_NO_MIS 2u
+#define OPTION_LIGHT_TREE 4u
 #define SAMPLER_REGULAR 0u
 #define SAMPLER_RANDOM 1u
 #define SAMPLER_INDEPENDENT 2u
@@ -280,9 +281,25 @@ typedef struct {
   uint keyframe_count;
   uint width;
   uint height;
-  uint pad0;
+  uint leaf;
 } Light;
 // sizeof(Light) == 112
+
+typedef struct {
+  float x[8];
+  float y[8];
+  float z[8];
+  float radius[8];
+  float axis_x[8];
+  float axis_y[8];
+  float axis_z[8];
+  float cos_spread[8];
+  float cos_falloff[8];
+  float strength[8];
+  uint child[8];
+  uint count[8];
+} LightNode;
+// sizeof(LightNode) == 384
 
 typedef struct {
   float threshold;

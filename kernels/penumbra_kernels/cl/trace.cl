@@ -191,6 +191,9 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_MANY_LIGHTS
                     const __global Alias *light_table,
 #endif
+#if PENUMBRA_LIGHT_TREE
+                    const __global LightNode *light_nodes,
+#endif
 #if PENUMBRA_AREA_LIGHTS
                     const __global float *emitter_cdf,
 #endif
@@ -224,6 +227,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   scene.textures = 0;
   scene.texels = 0;
   scene.light_table = 0;
+  scene.light_nodes = 0;
   scene.emitter_cdf = 0;
   scene.environment = 0;
 #if PENUMBRA_GLOSS
@@ -250,6 +254,9 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_MANY_LIGHTS
   scene.light_table = light_table;
 #endif
+#if PENUMBRA_LIGHT_TREE
+  scene.light_nodes = light_nodes;
+#endif
 #if PENUMBRA_AREA_LIGHTS
   scene.emitter_cdf = emitter_cdf;
 #endif
@@ -260,6 +267,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   scene.light_count = params->light_count;
   scene.root = params->root;
   scene.environment_light = params->environment_light;
+  scene.light_tree = (params->options & OPTION_LIGHT_TREE) != 0u;
 
   const __global ushort *item_counts = 0;
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM

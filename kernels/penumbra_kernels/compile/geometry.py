@@ -89,6 +89,9 @@ class CompiledGeometry:
     triangle_count: int
     records: tuple[ShapeRecord, ...]
     """In the order of arrays["shapes"]."""
+    instance_boxes: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]
+    """In the order of arrays["instances"], without the world's still part: around all that each passes through while the
+    shutter is open."""
 
     @property
     def emitters(self) -> tuple[ShapeRecord, ...]:
@@ -343,7 +346,8 @@ class _Compiler:
         arrays["instances"] = np.array(self.instances, INSTANCE)
         arrays["shapes"] = np.array(self.shapes, SHAPE)
         planes, triangles = len(arrays["planes"]), len(arrays["triangles"])
-        return CompiledGeometry(arrays, self.keyframes.array, root, planes, triangles, tuple(self.records))
+        records, boxes = tuple(self.records), tuple((lo, hi) for lo, hi, _ in self.placed)
+        return CompiledGeometry(arrays, self.keyframes.array, root, planes, triangles, records, boxes)
 
 
 def compile_geometry(

@@ -23,8 +23,17 @@ from penumbra_kernels.compile.alias import STEPS, alias_table, quantised_cdf
 from penumbra_kernels.compile.environment import compile_environment
 from penumbra_kernels.compile.extent import scene_radius
 from penumbra_kernels.compile.geometry import CompiledGeometry, ShapeRecord
+from penumbra_kernels.compile.light_bounds import (
+    BodyBounds,
+    LightBounds,
+    directional_bounds,
+    environment_bounds,
+    point_bounds,
+)
+from penumbra_kernels.compile.light_tree import build_light_tree
 from penumbra_kernels.compile.placement import Motion, Shutter
-from penumbra_kernels.layout import CONSTANTS, KEYFRAME, LIGHT
+from penumbra_kernels.features import light_selection
+from penumbra_kernels.layout import CONSTANTS, KEYFRAME, LIGHT, LIGHT_NODE
 
 Array = NDArray[Any]
 NONE: Final = CONSTANTS["NONE"]
@@ -35,7 +44,7 @@ class CompiledLights:
     """Everything that cl/lights reads."""
 
     arrays: dict[str, Array]
-    """lights, light_table, emitter_cdf, environment."""
+    """lights, light_table, light_nodes, emitter_cdf, environment."""
     keyframes: Array
     """(n,) of KEYFRAME, of lights without a body; their indices count from the end of the geometry's."""
     light_count: int
@@ -58,6 +67,9 @@ class _Compiler:
         self.keyframe_count = 0
         self.environment: NDArray[np.float32] = np.zeros((0, 4), np.float32)
         self.radius = scene_radius(geometry)
+        self.bodies = BodyBounds(geometry)
+        self.selection = light_selection(scene)
+        self.bounds: list[LightBounds] = []
 
     def _record(self, kind: str, radiance: tuple[float, float, float]) -> Array:
         record = np.zeros((), LIGHT)
@@ -89,7 +101,10 @@ class _Compiler:
         sides = 2.0 if model.emission.two_sided else 1.0
         record["flags"] = CONSTANTS["LIGHT_TWO_SIDED"] if model.emission.two_sided else 0
         self.geometry.arrays["shapes"]["light"][emitter.shape] = len(self.lights)
-        self._add(record, math.pi * area * sides * _mean(model.emission.radiance))
+        radiance = _mean(model.emission.radiance)
+        self._add(record, math.pi * area * sides * radiance)
+        if self.selection == "tree":
+            self.bounds.append(self.bodies.of(emitter, record, radiance, model.emission.two_sided))
 
     def _mesh(self, record: Array, emitter: ShapeRecord) -> float:
         triangles = self.geometry.arrays["triangles"][emitter.first : emitter.first + emitter.count]
@@ -117,6 +132,11 @@ class _Compiler:
             self.keyframes.append(keys)
             self.keyframe_count += len(keys)
         self._add(record, power)
+        if isinstance(light, DirectionalLight):
+            self.bounds.append(directional_bounds(record, motion.moves, _mean(light.irradiance)))
+        else:
+            cone = _cone(light) if isinstance(light, SpotLight) else None
+            self.bounds.append(point_bounds(record, motion, light.position, _mean(light.intensity), cone))
 
     def _directional(self, light: DirectionalLight, matrix: NDArray[np.float64]) -> tuple[Array, float]:
         record = self._record("DIRECTIONAL", light.irradiance)
@@ -129,7 +149,7 @@ class _Compiler:
         if isinstance(light, PointLight):
             return record, 4.0 * math.pi * _mean(light.intensity)
         record["direction"] = _unit(matrix[:3, :3] @ _unit(np.asarray(light.direction, np.float64)))
-        inner, outer = (2.0 * math.sin(0.5 * math.radians(a)) ** 2 for a in _cone(light))
+        inner, outer = (2.0 * math.sin(0.5 * a) ** 2 for a in _cone(light))
         record["inner"], record["outer"] = inner, outer
         # The smooth step between the cones is 1/2 in the mean over the cosine.
         return record, math.pi * (inner + outer) * _mean(light.intensity)
@@ -155,15 +175,20 @@ class _Compiler:
             )
             record["position"], record["direction"], record["axis_v"] = image.environment_from_world
         self._add(record, flux * disc)
+        self.bounds.append(
+            environment_bounds(0.25 * flux)
+        )  # a plane's irradiance, in the mean over its directions
         return len(self.lights) - 1
 
     def result(self, environment_light: int) -> CompiledLights:
         lights = np.array(self.lights, LIGHT)
         table = alias_table(_weights(self.powers, self.scene.integrator.light_selection))
         lights["pmf"] = table["pmf"]
+        nodes = self._tree(lights)
         arrays: dict[str, Array] = {
             "lights": lights,
             "light_table": table,
+            "light_nodes": nodes,
             "emitter_cdf": np.concatenate([np.zeros(0, np.float32), *self.cdfs]),
             "environment": self.environment,
         }
@@ -171,9 +196,18 @@ class _Compiler:
         count = len(lights) - (environment_light != NONE)
         return CompiledLights(arrays, keyframes, count, environment_light)
 
+    def _tree(self, lights: Array) -> Array:
+        """The light tree's nodes; its leaves go into the records. Without it, nothing."""
+        if self.selection != "tree":
+            return np.zeros(0, LIGHT_NODE)
+        tree = build_light_tree(self.bounds)
+        lights["leaf"] = tree.leaf
+        return tree.nodes
+
 
 def _cone(light: SpotLight) -> tuple[float, float]:
-    return light.inner_cone_angle, light.outer_cone_angle
+    """Half angles, radians."""
+    return math.radians(light.inner_cone_angle), math.radians(light.outer_cone_angle)
 
 
 def _mean(color: tuple[float, float, float]) -> float:

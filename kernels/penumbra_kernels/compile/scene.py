@@ -81,6 +81,7 @@ def compile_scene(
     params["root"] = geometry.root
     params["plane_count"] = geometry.plane_count
     params["light_count"] = lights.light_count
+    params["options"] |= CONSTANTS["OPTION_LIGHT_TREE"] if "light_tree" in features else 0
     params["environment_light"] = lights.environment_light
     return CompiledScene(arrays, params, features, geometry.triangle_count, lights.light_count)
 

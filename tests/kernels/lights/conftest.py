@@ -14,15 +14,17 @@ import pytest
 import scipy.stats
 from numpy.typing import NDArray
 from penumbra_kernels.device import Device
-from penumbra_kernels.layout import ALIAS, CONSTANTS, INSTANCE, KEYFRAME, LIGHT, SHAPE, TRIANGLE
+from penumbra_kernels.layout import ALIAS, CONSTANTS, INSTANCE, KEYFRAME, LIGHT, LIGHT_NODE, SHAPE, TRIANGLE
 
 Array = NDArray[Any]
 NONE = CONSTANTS["NONE"]
+ORIGIN = np.zeros(3, np.float32)
 
 EVERYTHING = {
     "PENUMBRA_AREA_LIGHTS": 1,
     "PENUMBRA_DELTA_LIGHTS": 1,
     "PENUMBRA_MANY_LIGHTS": 1,
+    "PENUMBRA_LIGHT_TREE": 1,
     "PENUMBRA_ENVIRONMENT": 1,
     "PENUMBRA_ENVIRONMENT_IMAGE": 1,
     "PENUMBRA_MOTION": 1,
@@ -35,6 +37,7 @@ SCENE_ARGUMENTS = (
     "const __global float4 *environment, const __global Instance *instances, "
     "const __global Keyframe *keyframes, const __global ShapeData *shapes, "
     "const __global TriangleData *triangles, const __global float *positions, "
+    "const __global LightNode *light_nodes, const uint light_tree, "
     "const uint light_count, const uint environment_light"
 )
 
@@ -44,11 +47,12 @@ static inline SceneData scene_of(ARGUMENTS) {
   SceneData s;
   s.lights = lights; s.light_table = light_table; s.emitter_cdf = emitter_cdf; s.environment = environment;
   s.instances = instances; s.keyframes = keyframes; s.shapes = shapes; s.triangles = triangles;
-  s.positions = positions; s.light_count = light_count; s.environment_light = environment_light;
+  s.positions = positions; s.light_nodes = light_nodes; s.light_tree = light_tree != 0u;
+  s.light_count = light_count; s.environment_light = environment_light;
   return s;
 }
 #define SCENE scene_of(lights, light_table, emitter_cdf, environment, instances, keyframes, shapes, \\
-                       triangles, positions, light_count, environment_light)
+                       triangles, positions, light_nodes, light_tree, light_count, environment_light)
 __kernel void sample(__global float *out, const __global float *p, const __global float *u, const uint light,
                      const float time, ARGUMENTS) {
   const size_t i = get_global_id(0);
@@ -85,14 +89,44 @@ __kernel void emitted(__global float *out, const __global float *wo, const __glo
   const float3 radiance = light_emitted(&scene, &hit, load3(wo + 3 * i));
   for (int k = 0; k < 3; ++k) out[3 * i + k] = k == 0 ? radiance.x : (k == 1 ? radiance.y : radiance.z);
 }
-__kernel void choose(__global float *out, const __global float *u, ARGUMENTS) {
+__kernel void choose(__global float *out, const __global float *u, const __global float *p, const __global float *n,
+                     ARGUMENTS) {
   const size_t i = get_global_id(0);
   const SceneData scene = SCENE;
+  Receiver receiver;
+  receiver.p = load3(p + 3 * i);
+  receiver.n = load3(n + 3 * i);
   float pmf;
-  const uint light = light_choose(&scene, (float3)(0.0f), u[i], &pmf);
+  const uint light = light_choose(&scene, &receiver, u[i], &pmf);
   out[3 * i] = (float)light;
   out[3 * i + 1] = pmf;
-  out[3 * i + 2] = light_pmf(&scene, (float3)(0.0f), light);
+  out[3 * i + 2] = light_pmf(&scene, &receiver, light);
+}
+__kernel void pmf(__global float *out, const __global uint *light, const __global float *p, const __global float *n,
+                  ARGUMENTS) {
+  const size_t i = get_global_id(0);
+  const SceneData scene = SCENE;
+  Receiver receiver;
+  receiver.p = load3(p + 3 * i);
+  receiver.n = load3(n + 3 * i);
+  out[i] = light_pmf(&scene, &receiver, light[i]);
+}
+// One receiver, `block` uniform numbers a work-item: how many lead to each of light_count lights, last those for which the
+// pmf is not the one told.
+__kernel void tally(__global uint *out, const __global float *at, const __global float *told, const uint block,
+                    ARGUMENTS) {
+  const SceneData scene = SCENE;
+  const uint entries = light_entries(&scene), first = (uint)get_global_id(0) * block;
+  __global uint *row = out + get_global_id(0) * (entries + 1u);
+  Receiver receiver;
+  receiver.p = load3(at);
+  receiver.n = load3(at + 3);
+  for (uint k = 0; k <= entries; ++k) row[k] = 0u;
+  for (uint k = first; k < first + block; ++k) {
+    float pmf;
+    const uint light = light_choose(&scene, &receiver, (float)k * 0x1p-24f, &pmf);
+    row[pmf == told[light] ? light : entries]++;
+  }
 }
 __kernel void sky(__global float *out, const __global float *d, ARGUMENTS) {
   const size_t i = get_global_id(0);
@@ -116,6 +150,11 @@ def light(kind: str, **values: Any) -> Array:
     return record
 
 
+def rows(a: Array, count: int) -> Array:
+    """(count, 3) float32 of points or of one point."""
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(a, np.float32), (count, 3)))
+
+
 @dataclass
 class LightScene:
     """Device arrays of a scene that has nothing but lights."""
@@ -129,6 +168,8 @@ class LightScene:
     shapes: Array = field(default_factory=lambda: np.zeros(1, SHAPE))
     triangles: Array = field(default_factory=lambda: np.zeros(1, TRIANGLE))
     positions: Array = field(default_factory=lambda: np.zeros((1, 3), np.float32))
+    light_nodes: Array = field(default_factory=lambda: np.zeros(0, LIGHT_NODE))
+    """Of the light tree, which chooses where there are any."""
     environment_light: int = NONE
 
 
@@ -170,19 +211,21 @@ class Bench:
             "shapes",
             "triangles",
             "positions",
+            "light_nodes",
         )
         world = [self.device.upload(np.array(scene.lights, LIGHT))]
         world += [self.device.upload(getattr(scene, name)) for name in names]
         own = len(scene.lights) - (scene.environment_light != NONE)
         target = self.device.allocate(out.nbytes)
-        counts = (np.uint32(own), np.uint32(scene.environment_light))
+        tree = np.uint32(len(scene.light_nodes) > 0)
+        counts = (tree, np.uint32(own), np.uint32(scene.environment_light))
         self._kernels[kernel](self.device.queue, (count,), None, target, *buffers, *world, *counts)
         self.device.download(target, out)
 
     def sample(self, scene: LightScene, p: Array, u: Array, index: int = 0, time: float = 0.0) -> Samples:
         """Samples of a light at points p (n, 3) or one point, by the uniform numbers u (n, 2 or 3)."""
         count = len(u)
-        points = np.ascontiguousarray(np.broadcast_to(np.asarray(p, np.float32), (count, 3)))
+        points = rows(p, count)
         numbers = np.full((count, 3), 0.5, np.float32)
         numbers[:, : u.shape[1]] = u
         out = np.empty((count, 20), np.float32)
@@ -214,7 +257,7 @@ class Bench:
     ) -> Array:
         """Densities of directions that met the light."""
         count = len(wi)
-        points = np.ascontiguousarray(np.broadcast_to(np.asarray(p, np.float32), (count, 3)))
+        points = rows(p, count)
         out = np.empty(count, np.float32)
         primitives = np.ascontiguousarray(np.broadcast_to(np.asarray(primitive, np.uint32), (count,)))
         numbers = [np.asarray(a, np.float32) for a in (wi, ng, distance)]
@@ -235,11 +278,30 @@ class Bench:
         )
         return out
 
-    def choose(self, scene: LightScene, u: Array) -> tuple[Array, Array, Array]:
-        """Light, its pmf as light_choose tells, and as light_pmf does."""
+    def choose(
+        self, scene: LightScene, u: Array, p: Array = ORIGIN, n: Array = ORIGIN
+    ) -> tuple[Array, Array, Array]:
+        """Light, its pmf as light_choose tells, and as light_pmf does, for receivers at p with normals n (n, 3)."""
         out = np.empty((len(u), 3), np.float32)
-        self._run("choose", out, len(u), scene, np.asarray(u, np.float32))
+        places = [rows(a, len(u)) for a in (p, n)]
+        self._run("choose", out, len(u), scene, np.asarray(u, np.float32), *places)
         return out[:, 0].astype(np.int64), out[:, 1], out[:, 2]
+
+    def pmf(self, scene: LightScene, light: Array, p: Array, n: Array = ORIGIN) -> Array:
+        """Probabilities of lights (n,) at receivers p with normals n (n, 3)."""
+        out = np.empty(len(light), np.float32)
+        places = [rows(a, len(light)) for a in (p, n)]
+        self._run("pmf", out, len(light), scene, np.asarray(light, np.uint32), *places)
+        return out
+
+    def tally(self, scene: LightScene, p: Array, n: Array, told: Array) -> Array:
+        """(lights + 1,) how many of all 2^24 uniform numbers lead to each light from one receiver; those for which
+        light_choose tells another pmf than told (lights,) are counted last instead."""
+        items = 64
+        out = np.empty((items, len(scene.lights) + 1), np.uint32)
+        at = np.concatenate([p, n]).astype(np.float32)
+        self._run("tally", out, items, scene, at, np.asarray(told, np.float32), np.uint32((1 << 24) // items))
+        return out.sum(axis=0)
 
     def sky(self, scene: LightScene, d: Array) -> tuple[Array, Array]:
         """Radiance and density of the environment in directions d."""

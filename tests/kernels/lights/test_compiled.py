@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +18,14 @@ from penumbra_kernels.features import analyse
 from penumbra_kernels.layout import CONSTANTS
 from penumbra_scene.scene import Scene
 
+_spec = importlib.util.spec_from_file_location("lights_lamps", Path(__file__).with_name("lamps.py"))
+assert _spec is not None
+assert _spec.loader is not None
+kinds: Any = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(kinds)
+LIGHTS, MOVE, SHAPES, STRETCH = kinds.LIGHTS, kinds.MOVE, kinds.SHAPES, kinds.STRETCH
+
 NONE = CONSTANTS["NONE"]
-GLOW = {"radiance": [2.0, 1.0, 0.0]}
 FAR = [1e5, -2e5, 3e5]
 
 
@@ -29,31 +38,6 @@ def compiled(scene: Scene, anchor=(0.0, 0.0, 0.0)):
     at = np.array(anchor)
     geometry = compile_geometry(scene, NoAssets(), 0.0, at, {})
     return geometry, compile_lights(scene, geometry, 0.0, at, NoAssets())
-
-
-SHAPES = [
-    {"type": "sphere", "center": [0, 5, 0], "radius": 0.5},
-    {"type": "quad", "origin": [-1, 3, -1], "u": [1, 0, 0], "v": [0, 0, 1], "emission": GLOW},
-    {
-        "type": "disc",
-        "center": [3, 2, 0],
-        "normal": [-1, 0, 0],
-        "radius": 0.7,
-        "emission": {**GLOW, "two_sided": True},
-    },
-    {"type": "sphere", "center": [0, 2, 3], "radius": 0.4, "emission": GLOW},
-    {
-        "type": "mesh",
-        "positions": [[-3, 1, 0], [-3, 2, 0], [-3, 1, 1], [-3, 2, 2]],
-        "indices": [[0, 1, 2], [1, 3, 2]],
-        "emission": GLOW,
-    },
-]
-LIGHTS = [
-    {"type": "point", "position": [0, 4, 0], "intensity": 3},
-    {"type": "spot", "position": [1, 4, 0], "direction": [0, -2, 0], "intensity": 6, "outer_cone_angle": 60},
-    {"type": "directional", "direction": [0, -3, 4], "irradiance": 0.5},
-]
 
 
 def test_records_shapes_and_powers_belong_together() -> None:
@@ -183,19 +167,10 @@ BUFFERS = (
     *("instances", "keyframes", "times", "lights", "emitter_cdf"),
 )
 """In the order of the kernel's arguments."""
-EFFECTS = (
-    "AREA_LIGHTS DELTA_LIGHTS MANY_LIGHTS ENVIRONMENT ENVIRONMENT_IMAGE MOTION INSTANCING ROUND DEFORMATION"
-)
+EFFECTS = "AREA_LIGHTS DELTA_LIGHTS MANY_LIGHTS LIGHT_TREE ENVIRONMENT ENVIRONMENT_IMAGE MOTION INSTANCING ROUND DEFORMATION"
 FLAGS = {f"PENUMBRA_{name}": 1 for name in EFFECTS.split(" ")}
 
-STRETCH = [{"scale": [1.0, 0.4, 1.5]}, {"rotate": {"axis": [1, 1, 0], "angle": 25}}]
 MIRROR = [{"scale": [-1, 1, 1]}]
-MOVE = {
-    "keyframes": [
-        {"time": 0, "transform": [{"rotate": {"axis": [0, 0, 1], "angle": 0}}]},
-        {"time": 1, "transform": [{"rotate": {"axis": [0, 0, 1], "angle": 60}}, {"translate": [0, 1, 0]}]},
-    ]
-}
 
 
 def placed(transform, offset=(0, 0, 0)):

@@ -14,7 +14,7 @@ from penumbra_scene.scene import Scene
 SAMPLERS = ["regular", "random", "independent", "stratified", "jittered", "sobol", "blue_noise"]
 
 
-def busy(sampler: str = "sobol") -> Scene:
+def busy(sampler: str = "sobol", selection: str = "power") -> Scene:
     """Every kind of light, gloss, glass, texture and motion in one small picture."""
     return Scene.model_validate(
         {
@@ -27,7 +27,7 @@ def busy(sampler: str = "sobol") -> Scene:
             },
             "film": {"width": 24, "height": 20},
             "sampler": {"type": sampler, "seed": 7},
-            "integrator": {"max_bounces": 6},
+            "integrator": {"max_bounces": 6, "light_selection": selection},
             "textures": {"check": {"type": "checker", "uv": {"scale": [4, 4]}}},
             "materials": {
                 "floor": {"type": "diffuse", "base_color": {"texture": "check"}},
@@ -84,8 +84,9 @@ def test_tiles_and_leases_change_no_bit(device: Device, sampler: str) -> None:
         assert part.tobytes() == np.ascontiguousarray(window).tobytes()
 
 
-def test_the_generic_program_gives_the_specialised_ones_bits(device: Device) -> None:
-    compiled = compile_scene(busy(), NoAssets())
+@pytest.mark.parametrize("selection", ["power", "tree"])
+def test_the_generic_program_gives_the_specialised_ones_bits(device: Device, selection: str) -> None:
+    compiled = compile_scene(busy(selection=selection), NoAssets())
     nodes = [
         Tracer(device, compiled, SamplePlan(4, 8), program=program).trace(Tile(0, 0, 24, 20), 0, 8)
         for program in ("specialised", "generic")

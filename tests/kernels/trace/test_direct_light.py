@@ -102,7 +102,7 @@ def test_spot_light_is_full_inside_and_dark_outside(render: Any) -> None:
     assert outside.mean.max() == 0
 
 
-@pytest.mark.parametrize("selection", ["all", "uniform", "power"])
+@pytest.mark.parametrize("selection", ["all", "uniform", "power", "tree"])
 @pytest.mark.parametrize("picks", [1, 3])
 def test_every_choice_of_lights_has_the_same_mean(render: Any, selection: str, picks: int) -> None:
     lights = [
@@ -147,3 +147,64 @@ def test_fixed_light_points_are_the_lectures_sum(render: Any) -> None:
 
     expected = ALBEDO / math.pi * value(np.zeros(3))
     assert picture.mean.mean() == pytest.approx(expected, rel=3e-3)
+
+
+def hall(**integrator: Any) -> dict[str, Any]:
+    """Lamps of all kinds and powers about a glossy floor, two glass balls and a sheet of paper, under a dim sky."""
+    rng = np.random.default_rng(8)
+    lamps = []
+    for i, (x, y, z) in enumerate(rng.uniform([-3, 0.5, -3], [3, 2.5, 3], (24, 3)).round(3).tolist()):
+        glow = {"radiance": float(10 ** rng.uniform(-1, 1.3)), "two_sided": i % 6 == 0}
+        if i % 3 == 0:
+            lamps.append(
+                {"type": "quad", "origin": [x, y, z], "u": [0.3, 0.1, 0], "v": [0, 0, 0.3], "emission": glow}
+            )
+        elif i % 3 == 1:
+            lamps.append({"type": "sphere", "center": [x, y, z], "radius": 0.1, "emission": glow})
+        else:
+            lamps.append(
+                {"type": "disc", "center": [x, y, z], "normal": [x, y, 1], "radius": 0.2, "emission": glow}
+            )
+    spot = {"type": "spot", "position": [0, 3, 0], "direction": [0.2, -1, 0], "intensity": 5}
+    return {
+        "camera": {
+            "type": "perspective",
+            "fov": 50,
+            "transform": {"look_at": {"origin": [0, 2, 7], "target": [0, 0.8, 0]}},
+        },
+        "film": {"width": 12, "height": 12},
+        "materials": {
+            "floor": {"type": "plastic", "base_color": 0.5, "roughness": 0.4},
+            "glass": {"type": "dielectric", "roughness": 0.3},
+            "paper": {"type": "diffuse_transmission", "reflectance": 0.4, "transmittance": 0.4},
+        },
+        "shapes": [
+            {"type": "plane", "material": "floor"},
+            {"type": "sphere", "center": [-1, 0.7, 1], "radius": 0.7, "material": "glass"},
+            {"type": "quad", "origin": [0.5, 0, 1], "u": [1, 0, 0.5], "v": [0, 1, 0], "material": "paper"},
+            *lamps,
+        ],
+        "lights": [spot, {"type": "directional", "direction": [1, -2, 0], "irradiance": 0.2}],
+        "environment": {"type": "constant", "radiance": 0.1},
+        "integrator": {"max_bounces": 3, **integrator},
+    }
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"light_selection": "uniform"},
+        {"light_selection": "power"},
+        {"light_selection": "tree"},
+        {"light_selection": "tree", "shadow_rays": 3},
+        {"light_selection": "tree", "light_sampling": "area"},
+    ],
+    ids=["uniform", "power", "tree", "tree, three rays", "tree, by area"],
+)
+def test_pictures_agree_whichever_way_lights_are_chosen(render: Any, integrator: dict[str, Any]) -> None:
+    """Against every light asked at every hit: the tree's probabilities also weigh the emitters that lobes meet."""
+    truth = render(hall(light_selection="all"), samples=1024)
+    picture = render(hall(**integrator), samples=2048)
+    error = np.sqrt(picture.variance.sum() + truth.variance.sum()) / truth.mean.size
+    assert abs(picture.mean.mean() - truth.mean.mean()) < Z * error
+    assert error < 0.02 * truth.mean.mean()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 Z = 5.3
@@ -53,6 +54,25 @@ def test_a_closed_sphere_gathers_a_hundredfold(render: Any) -> None:
     picture = render(scene, samples=512)
     assert abs(picture.z_of(100.0)) < Z
     assert picture.mean.mean() == pytest.approx(100, rel=0.05)
+
+
+@pytest.mark.parametrize("start", [0, 3])
+def test_roulette_keeps_the_mean_of_every_colour(render: Any, start: int) -> None:
+    """L = Le / (1 - albedo) in each channel. Survival goes by the brightest one: the others must not gain or lose."""
+    albedo = np.array([0.9, 0.5, 0.1])
+    scene = {
+        "camera": {"type": "perspective", "fov": 60},
+        "film": {"width": 8, "height": 8},
+        "materials": {"m": {"type": "diffuse", "base_color": albedo.tolist()}},
+        "shapes": [
+            {"type": "sphere", "radius": 2, "material": "m", "emission": {"radiance": 1, "two_sided": True}}
+        ],
+        "integrator": {"max_bounces": 65535, "roulette_start": start},
+    }
+    picture = render(scene, samples=2048)
+    error = np.sqrt(picture.variance.sum(axis=(0, 1))) / 64
+    assert (np.abs(picture.mean.mean(axis=(0, 1)) - 1 / (1 - albedo)) < Z * error).all()
+    assert (error < 0.005 / (1 - albedo)).all()
 
 
 def test_an_empty_scene_shows_its_environment_exactly(render: Any) -> None:

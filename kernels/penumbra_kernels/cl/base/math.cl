@@ -11,6 +11,7 @@
 #define FABS(x) __builtin_fabsf(x)
 #define FMA(a, b, c) __builtin_fmaf(a, b, c)
 #define CTZ(x) ((uint)__builtin_ctz(x))
+#define POPCOUNT(x) ((uint)__builtin_popcount(x))
 #define CLZ(x) ((uint)__builtin_clz(x))      // of a uint that is not 0
 #define CLZ64(x) ((uint)__builtin_clzl(x))   // of a ulong that is not 0
 #define PREFETCH(p) __builtin_prefetch((const void *)(ulong)(p))  // of any address space
@@ -19,6 +20,7 @@
 #define FABS(x) fabs(x)
 #define FMA(a, b, c) fma(a, b, c)
 #define CTZ(x) (31u - clz((x) & (0u - (x))))
+#define POPCOUNT(x) popcount((uint)(x))
 #define CLZ(x) ((uint)clz((uint)(x)))
 #define CLZ64(x) ((uint)clz((ulong)(x)))
 #define PREFETCH(p)

@@ -67,10 +67,12 @@ typedef struct {
   const __global float4 *texels;
   const __global Light *lights;
   const __global Alias *light_table;   // the light choice, an entry a light (the environment last)
+  const __global LightNode *light_nodes;  // the light tree (lights/tree.cl), its root first
   const __global float *emitter_cdf;   // triangles of mesh lights
   const __global float4 *environment;  // see lights/environment.cl
   uint plane_count;
   uint light_count;
   uint root;
   uint environment_light;
+  bool light_tree;                     // choose by the tree, not by the table
 } SceneData;

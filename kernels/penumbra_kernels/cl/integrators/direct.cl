@@ -42,8 +42,8 @@ static inline uint light_total(const SceneData *scene) {
 
 // Radiance that the lights send by way of this surface point towards the viewer.
 static inline float3 direct_light(const SceneData *scene, const __global Params *params, const Sampler *sampler,
-                                  const Surface *surface, const Bsdf *bsdf, const uint bounce, const float time,
-                                  const bool use_mis, uint *effects, uint *rays) {
+                                  const Surface *surface, const Bsdf *bsdf, const Receiver *receiver, const uint bounce,
+                                  const float time, const bool use_mis, uint *effects, uint *rays) {
   const uint picks = params->shadow_rays;
   float3 sum = (float3)(0.0f);
   const uint total = light_total(scene);
@@ -63,7 +63,7 @@ static inline float3 direct_light(const SceneData *scene, const __global Params 
   for (uint j = 0; j < picks; j++) {
     const float us = total > 1u ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), j, picks) : 0.0f;
     float pmf;
-    const uint light = light_choose(scene, surface->p, us, &pmf);
+    const uint light = light_choose(scene, receiver, us, &pmf);
     if (!(pmf > 0.0f)) continue;
     const float2 u = sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), j, picks);
     const float ut = light_has_triangles(scene, light)

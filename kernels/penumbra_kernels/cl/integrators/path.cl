@@ -36,10 +36,18 @@ static inline float hit_weight(const __global Params *params, const bool delta, 
   return power_heuristic(lobe_pdf, chance * light_pdf);
 }
 
-// Expected number of light samples that a hit at p spends on this light.
-static inline float light_chance(const SceneData *scene, const __global Params *params, const float3 p, const uint light) {
+// Expected number of light samples that the receiver spends on this light.
+static inline float light_chance(const SceneData *scene, const __global Params *params, const Receiver *receiver,
+                                 const uint light) {
   const float picks = (float)params->shadow_rays;
-  return params->options & OPTION_ALL_LIGHTS ? picks : picks * light_pmf(scene, p, light);
+  return params->options & OPTION_ALL_LIGHTS ? picks : picks * light_pmf(scene, receiver, light);
+}
+
+static inline Receiver receiver_of(const Surface *surface, const Bsdf *bsdf) {
+  Receiver receiver;
+  receiver.p = surface->p;
+  receiver.n = bsdf_transmits(bsdf) ? (float3)(0.0f) : bsdf->n;
+  return receiver;
 }
 
 static inline uint object_of(const SceneData *scene, const Surface *surface) {
@@ -65,7 +73,8 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
   const bool mis = (params->options & OPTION_NO_MIS) == 0u;
 
   float3 beta = (float3)(1.0f);
-  float3 from = ray.o;      // the hit that the ray left, for light densities
+  Receiver from;            // the hit that the ray left, for light densities
+  from.p = from.n = (float3)(0.0f);
   float lobe_pdf = 0.0f;
   bool delta = true;        // the camera's ray counts as one: nothing else samples what it sees
   for (uint bounce = 0;; bounce++) {
@@ -77,7 +86,7 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
         const float3 wi = normalize3(ray.d);
         const float weight = delta ? 1.0f
                                    : hit_weight(params, false, lobe_pdf, environment_pdf(scene, wi),
-                                                light_chance(scene, params, from, scene->environment_light));
+                                                light_chance(scene, params, &from, scene->environment_light));
         result.effects |= EFFECT_ENVIRONMENT;
         result.radiance += beta * environment_radiance(scene, wi) * weight;
       }
@@ -94,8 +103,8 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
       if (max3(emitted) > 0.0f) {
         float weight = 1.0f;
         if (!delta) {
-          const float pdf = light_hit_pdf(scene, light, from, &surface, -wo, hit.t * length3(ray.d), ray.time);
-          weight = hit_weight(params, false, lobe_pdf, pdf, light_chance(scene, params, from, light));
+          const float pdf = light_hit_pdf(scene, light, from.p, &surface, -wo, hit.t * length3(ray.d), ray.time);
+          weight = hit_weight(params, false, lobe_pdf, pdf, light_chance(scene, params, &from, light));
         }
         result.effects |= EFFECT_AREA_LIGHT;
         result.radiance += beta * emitted * weight;
@@ -115,9 +124,10 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
       result.object_id = object_of(scene, &surface);
 #endif
     }
+    from = receiver_of(&surface, &bsdf);
     if (bsdf_has_smooth(&bsdf)) {
-      result.radiance += beta * direct_light(scene, params, sampler, &surface, &bsdf, bounce, ray.time, mis && !last,
-                                             &result.effects, &result.rays);
+      result.radiance += beta * direct_light(scene, params, sampler, &surface, &bsdf, &from, bounce, ray.time,
+                                             mis && !last, &result.effects, &result.rays);
     }
 #if PENUMBRA_INDIRECT
     float3 wi, weight;
@@ -135,7 +145,6 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
       break;
     }
     if (!roulette(params, sampler, bounce, &beta)) break;
-    from = surface.p;
     ray = spawn_ray(&surface, wi, ray.time);
 #else
     break;

@@ -1,9 +1,14 @@
-// Which light to ask: Walker's alias method over `light_table` (Walker 1977), an entry a light, the environment last.
-// The lit point is passed for choices that depend on it; this one does not.
+// Which light to ask: by the light tree (lights/tree.cl), or by Walker's alias method over `light_table` (Walker 1977), an
+// entry a light, the environment last.
+// What is lit is passed for the tree, whose choice depends on it; the table's does not.
 //
 // Uniform numbers have 24 bits. The table is built for just these (compile/alias.py), so that a light's pmf is exactly the
 // share of them that chooses it, for a million lights of any powers; lights without power are never chosen.
 #include "base/types.h"
+#include "lights/receiver.h"
+#if PENUMBRA_LIGHT_TREE
+#include "lights/tree.cl"
+#endif
 
 // Lights that can be asked, the environment included.
 static inline uint light_entries(const SceneData *scene) {
@@ -11,7 +16,10 @@ static inline uint light_entries(const SceneData *scene) {
 }
 
 // A light by the uniform number u in [0, 1), and the probability of choosing it: 0 where there is none to choose.
-static inline uint light_choose(const SceneData *scene, const float3 p, const float u, float *pmf) {
+static inline uint light_choose(const SceneData *scene, const Receiver *receiver, const float u, float *pmf) {
+#if PENUMBRA_LIGHT_TREE
+  if (scene->light_tree) return light_tree_choose(scene, receiver, u, pmf);
+#endif
 #if PENUMBRA_MANY_LIGHTS
   const uint count = light_entries(scene);
   *pmf = 0.0f;
@@ -29,7 +37,10 @@ static inline uint light_choose(const SceneData *scene, const float3 p, const fl
 }
 
 // The probability with which light_choose finds a light.
-static inline float light_pmf(const SceneData *scene, const float3 p, const uint light) {
+static inline float light_pmf(const SceneData *scene, const Receiver *receiver, const uint light) {
+#if PENUMBRA_LIGHT_TREE
+  if (scene->light_tree) return light_tree_pmf(scene, receiver, light);
+#endif
 #if PENUMBRA_MANY_LIGHTS
   return scene->light_table[light].pmf;
 #else

@@ -5,6 +5,7 @@
 //   bsdf_sample      a direction; false where the light ends. Smooth lobes: weight = value / density of all of them together;
 //                    delta lobes: BSDF_EVENT_DELTA, pdf their discrete probability, weight already divided by it
 //   bsdf_has_smooth  whether bsdf_eval can be anything but 0
+//   bsdf_transmits   whether it can be for a wi on the far side
 //   bsdf_albedo      reflectance and transmittance towards wo, about: for the albedo layer
 //
 // Sides. Reflection needs both directions above the geometric and the shading normal, transmission wi below both: whatever a
@@ -122,6 +123,15 @@ static inline bool bsdf_has_smooth(const Bsdf *b) {
   }
 #endif
   return true;
+}
+
+// Whether light from behind the surface can count; if not, wi has to lie above the shading normal (and the geometric one).
+static inline bool bsdf_transmits(const Bsdf *b) {
+#if PENUMBRA_TRANSMISSION
+  return b->type == MATERIAL_DIELECTRIC || b->type == MATERIAL_THIN_DIELECTRIC || b->type == MATERIAL_DIFFUSE_TRANSMISSION;
+#else
+  return false;
+#endif
 }
 
 // Whether bsdf_sample asks for u_lobe.
