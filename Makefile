@@ -13,7 +13,7 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup demo test serve lint types contracts schema layout lock pictures clean distclean
+.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights clean distclean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -51,6 +51,9 @@ lock: setup ## pin every package, with hashes (ARGS=--upgrade for newer ones)
 
 pictures: setup ## render every example into docs/pictures
 	@$(BIN)/python scripts/pictures.py $(ARGS)
+
+lights: setup ## measure how lights are chosen, and write docs/lights.md
+	@$(BIN)/python bench/lights.py $(ARGS)
 
 clean: ## remove what the targets left, but not the environment or the service's data
 	@rm -rf out dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
