@@ -25,11 +25,6 @@ if TYPE_CHECKING:
 KIND_CPU: Final = "cpu"
 KIND_GPU: Final = "gpu"
 
-NVIDIA_REGISTERS: Final = 64
-"""A thread. Left alone the compiler takes 200 to 250 for a path tracer, so that few threads are there to hide each other's
-waiting. Measured on an H200, M paths/s of the Cornell box / a mesh of 100k triangles: 78 / 106 as it likes, 91 / 116 with
-128 registers, 101 / 108 with 96, 115 / 138 with 64 (spills included)."""
-
 
 class DeviceError(RuntimeError):
     """A device is missing, or would not do what was asked; the message says which and why."""
@@ -252,17 +247,12 @@ class Device:
 
 
 def _options(device: cl.Device) -> tuple[str, ...]:
-    """BUILD_OPTIONS and what a GPU has to be asked for: IEEE division and square roots (OpenCL 1.2, section 7.4), and on
-    NVIDIA's driver fewer registers a thread, which changes no bits."""
+    """BUILD_OPTIONS, and IEEE division and square roots where those have to be asked for (OpenCL 1.2, section 7.4)."""
     import pyopencl as cl
 
-    options = list(BUILD_OPTIONS)
-    if device.type & cl.device_type.GPU:
-        if device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
-            options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-        if "cl_nv_compiler_options" in device.extensions.split():
-            options.append(f"-cl-nv-maxrregcount={NVIDIA_REGISTERS}")
-    return tuple(options)
+    exact = device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+    asked = exact and device.type & cl.device_type.GPU
+    return (*BUILD_OPTIONS, "-cl-fp32-correctly-rounded-divide-sqrt") if asked else BUILD_OPTIONS
 
 
 def _portable() -> bool:

@@ -10,7 +10,18 @@ from typing import Annotated, Final
 from pydantic import Field, StringConstraints, model_validator
 
 from penumbra_scene.adaptive import Adaptive, in_force
-from penumbra_scene.base import Float, Integer, Measured, Model, Name, NotBoolean, Positive, Unit, error_at
+from penumbra_scene.base import (
+    Bool,
+    Float,
+    Integer,
+    Measured,
+    Model,
+    Name,
+    NotBoolean,
+    Positive,
+    Unit,
+    error_at,
+)
 from penumbra_scene.errors import Problem
 from penumbra_scene.film import Film
 from penumbra_scene.scene import Scene
@@ -35,6 +46,9 @@ class JobRequest(Model):
     Ranges ("1-240", "1-240x2", "1,5,9") are part of the format; as yet only single frames are accepted."""
     fps: Annotated[Positive, Field(le=1000)] = 24.0
     """Frames a second."""
+    strict: Bool = False
+    """Only devices of one bit class work on it, that of the first, so that the picture has the same bits again on any
+    device of that class; otherwise all do, and the receipt says 'mixed' if there were several."""
     film: Film | None = None
     """Takes the place of the scene's whole section, as do the next four."""
     sampler: Sampler | None = None

@@ -118,6 +118,10 @@ class ReceiptDevice(Model):
     bit_class: str
     leases: Count = 0
     seconds: Measured = 0.0
+    failures: Count = 0
+    """Crashes, hangs and refusals under this job."""
+    blocked: Literal["build", "failures", "wrong"] | None = None
+    """Why it got no more of the job: its compiler refused, it failed three times, or it gave wrong sums."""
 
 
 class PlanStep(Model):
@@ -173,4 +177,6 @@ class Receipt(Model):
     plan: tuple[PlanStep, ...] = ()
     redone_leases: Count = 0
     """Work that had to be done again, after crashes and restarts."""
+    checked_leases: Count = 0
+    """Done by two devices, whose sums agreed or a third decided."""
     warnings: tuple[str, ...] = ()

@@ -56,6 +56,7 @@ class LocalRunner:
     def __init__(self, settings: Settings) -> None:
         self._assets = settings.assets_folder
         self._decode = decode_limits(settings)
+        self._verify = settings.verify_share
         self._engine = engine_of(settings)
 
     def start(self) -> None:
@@ -89,6 +90,8 @@ class LocalRunner:
                 time=task.request.time,
                 priority=task.priority,
                 decode=self._decode,
+                strict=task.request.strict,
+                verify=self._verify,
             ),
             on_progress=self._reporter(task),
             on_preview=_shower(task, scene, latest),

@@ -90,7 +90,15 @@ def render_on(
     latest = Latest()
     assets = cache.folder() / "assets"
     assets.mkdir(parents=True, exist_ok=True)
-    task = RenderTask(JOB, scene, work, assets_folder=assets, scene_folder=folder, time=request.time)
+    task = RenderTask(
+        JOB,
+        scene,
+        work,
+        assets_folder=assets,
+        scene_folder=folder,
+        time=request.time,
+        strict=request.strict,
+    )
 
     def tell(state: JobState, progress: Progress) -> None:
         report(ProgressEvent(id=JOB, state=state, **progress.model_dump()))

@@ -51,6 +51,8 @@ class Settings:
     """Address of the Dask scheduler whose workers render; empty: this machine's devices do."""
     tls: str = ""
     """Folder of certificates for a tls:// scheduler, as `penumbra certs` makes it."""
+    verify_share: float = 0.01
+    """Share of leases that two devices do and whose sums are compared, beside each device's first; 0: none."""
     max_body_bytes: int = limits.MAX_BODY_BYTES
     """Largest JSON body."""
     max_asset_bytes: int = limits.MAX_ASSET_BYTES
@@ -69,6 +71,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in ("max_body_bytes", "max_asset_bytes", "decode_memory_bytes"):
             _require(getattr(self, name) >= 1, name, getattr(self, name), "a whole number of at least 1")
+        _require(0 <= self.verify_share <= 1, "verify_share", self.verify_share, "a number from 0 to 1")
         for name in ("decode_seconds", "heartbeat_seconds"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
         _require(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 
 import pytest
+from penumbra_service.engine.runner import JobRunner
 
 
 @pytest.fixture(autouse=True)
@@ -54,3 +56,54 @@ def test_a_worker_that_joins_late_gets_work(farm, make_task, picture, undisturbe
     farm.kill("late")
     assert late
     assert late[0] > 0
+
+
+def test_a_worker_that_returns_garbage_is_found_out_and_its_work_is_done_again(  # type: ignore[no-untyped-def]
+    farm, make_task, picture, undisturbed
+):
+    farm.add_worker("liar", FAKE_HABIT="garbage")
+    farm.wait_for("liar")
+    result = farm.run(make_task())
+    farm.kill("liar")
+    assert picture(result) == undisturbed
+    blocked = {use.id: use.blocked for use in result.record.devices.values()}
+    assert blocked == {"fake:0@one": None, "fake:0@two": None, "fake:0@liar": "wrong"}
+    assert "device fake:0@liar gave other sums than two others" in " ".join(result.record.warnings)
+    assert result.record.checked_leases > 0
+
+
+def test_two_that_contradict_each_other_fail_the_job_for_want_of_a_third(farm, make_task):  # type: ignore[no-untyped-def]
+    farm.add_worker("odd", FAKE_BIT_CLASS="odd|1.0")
+    farm.add_worker("liar", FAKE_HABIT="garbage", FAKE_BIT_CLASS="odd|1.0")
+    farm.wait_for("odd", "liar")
+    for name in ("one", "two"):
+        farm.kill(name)
+    farm.wait_until(lambda: farm.up() == {"odd", "liar"}, "the others have left")
+    failure = JobRunner(farm.engine, make_task()).run().failure
+    for name in ("odd", "liar"):
+        farm.kill(name)
+    assert failure is not None
+    assert failure.kind == "device"
+    assert "give different sums for the same samples" in failure.message
+
+
+def test_a_device_that_fails_three_times_is_blocked_for_the_job(farm, make_task, picture, undisturbed):  # type: ignore[no-untyped-def]
+    farm.add_worker("weak", FAKE_HABIT="refuse")
+    farm.wait_for("weak")
+    result = farm.run(make_task())
+    farm.kill("weak")
+    assert picture(result) == undisturbed
+    weak = next(use for use in result.record.devices.values() if use.id == "fake:0@weak")
+    assert (weak.leases, weak.failures, weak.blocked) == (0, 3, "failures")
+    assert result.record.redone_leases >= 3
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_a_strict_job_stays_within_one_bit_class_and_others_say_that_they_are_mixed(farm, make_task, strict):  # type: ignore[no-untyped-def]
+    farm.add_worker("odd", FAKE_BIT_CLASS="odd|1.0")
+    farm.wait_for("odd")
+    result = farm.run(replace(make_task(), strict=strict))
+    farm.kill("odd")
+    classes = {use.bit_class for use in result.record.devices.values() if use.leases}
+    assert (len(classes) == 1) == strict
+    assert (result.record.bit_class == "mixed") == (not strict)

@@ -83,11 +83,23 @@ class Canvas:
         """What must be done again since a tile's file broke while it was not in memory."""
         lost = self.film.take_lost()
         for tile in lost:
-            log.warning("the file of %s is broken: the tile starts again", tile)
+            log.warning("%s starts again: its file is broken, or some of its samples are wrong", tile)
             self._summaries.pop(tile, None)
         if lost:
             self._samples = self._count_samples()
         return self.missing(lost)
+
+    def discard(self, tiles: Iterable[Tile] | None) -> None:
+        """Forget what these tiles hold, all of them with None: `take_lost` tells what to do again."""
+        for tile in self.film.tiles if tiles is None else tiles:
+            self.film.discard(tile)
+
+    def look_again(self) -> None:
+        """The last check saw wrong samples: it has not taken place."""
+        self.batches.look_again()
+        if self.record.points:
+            self.record.points.pop()
+        self.proceed()
 
     def check(self, seconds: float, confidence: float) -> Reason | None:
         """Look at the picture, whose current batch is complete: why to stop, or None to go on. The caller

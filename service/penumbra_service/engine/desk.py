@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from penumbra_service.engine.protocol import DeviceDescription, Lease, RenderSpec
+from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseResult, RenderSpec
+from penumbra_service.jobs.doublecheck import DoubleChecks, digest_of
 from penumbra_service.jobs.planning import LeasePlanner, WorkItem
 
 MIN_DEADLINE: Final = 60.0
@@ -21,8 +22,17 @@ DEADLINE_FACTOR: Final = 20.0
 class LeaseDesk:
     """A planner behind a lock. All methods may be called from any thread and return at once."""
 
-    def __init__(self, job: str, spec: RenderSpec, hungry: Callable[[], None]) -> None:
-        """`hungry` is called (engine's thread) when a device asks in vain, once until work is added."""
+    def __init__(
+        self,
+        job: str,
+        spec: RenderSpec,
+        hungry: Callable[[], None],
+        *,
+        strict: bool = False,
+        verify: float = 0.0,
+    ) -> None:
+        """`hungry` is called (engine's thread) when a device asks in vain, once until work is added. `strict`: all
+        devices must be of the bit class of the first. `verify`: share of leases that two devices do."""
         self._job = job
         self._spec = spec
         self._hungry = hungry
@@ -30,19 +40,29 @@ class LeaseDesk:
         self._planner = LeasePlanner(spec.replicates)
         self._numbers: dict[str, int] = {}
         self._excluded: set[str] = set()
+        self._strict = strict
+        self._bit_class: str | None = None
+        self._checks = DoubleChecks(job, verify)
+        self._checking: dict[str, int] = {}
         self._closed = False
         self._asked = False
 
     def next_lease(self, device: DeviceDescription) -> Lease | None:
         """Work for a device, or None."""
         with self._lock:
-            if self._closed or device.id in self._excluded:
+            if self._closed or not self._suits(device):
                 return None
+            check = self._checks.take((device.id, device.bit_class))
+            if check is not None:
+                lease_id = f"{self._job}/check-{check.number}-{device.id}"
+                self._checking[lease_id] = check.number
+                return Lease(lease_id, self._job, self._spec, check.items, UNKNOWN_DEADLINE)
             planned = self._planner.take(device.id)
             if planned is not None:
                 expected = self._planner.expected_seconds(device.id, planned)
                 lease_id = f"{self._job}/{planned.number}"
                 self._numbers[lease_id] = planned.number
+                self._bit_class = self._bit_class or device.bit_class
                 return Lease(lease_id, self._job, self._spec, planned.items, _deadline(expected))
             if self._asked:
                 return None
@@ -56,19 +76,73 @@ class LeaseDesk:
             self._planner.add(items)
             self._asked = False
 
-    def answered(self, lease: str, device: str, seconds: float) -> bool:
-        """A lease is done, after `seconds` of tracing; False where nobody waits for it any more."""
+    def answered(self, result: LeaseResult, device: DeviceDescription) -> bool:
+        """A lease is done; False where nobody waits for it any more, or it was a check."""
         with self._lock:
-            number = self._numbers.pop(lease, None)
-            return number is not None and self._planner.done(number, device, seconds) is not None
+            number = self._numbers.pop(result.lease, None)
+            lease = None if number is None else self._planner.done(number, device.id, result.seconds)
+            if lease is None:
+                return False
+            if self._checks.wants(device.id, lease.number):
+                self._checks.open((device.id, device.bit_class), lease.items, digest_of(result.nodes))
+                self._asked = False
+            return True
 
-    def give_back(self, lease: str) -> None:
-        """A lease will not be answered: its work goes to the front."""
+    def checked(self, result: LeaseResult, device: DeviceDescription) -> list[str] | None:
+        """Where this is the answer to a check: the devices that it proves wrong, mostly none. None otherwise."""
         with self._lock:
-            number = self._numbers.pop(lease, None)
-            if number is not None:
-                self._planner.lost(number)
+            number = self._checking.pop(result.lease, None)
+            return (
+                None if number is None else self._checks.answered(number, device.id, digest_of(result.nodes))
+            )
+
+    def give_back(self, lease: str, failed_on: str | None = None) -> frozenset[str]:
+        """A lease will not be answered: its work goes to the front. `failed_on`: the device that it failed on, if it
+        did. All devices that some of its work has failed on."""
+        with self._lock:
             self._asked = False
+            if lease in self._checking:
+                self._checks.lost(self._checking.pop(lease))
+            number = self._numbers.pop(lease, None)
+            lost = None if number is None else self._planner.lost(number, failed_on)
+            return (
+                max((self._planner.failed_on(item) for item in lost.items), key=len) if lost else frozenset()
+            )
+
+    def disbelieve(self, device: str) -> None:
+        """It has given wrong sums: no more for it, and its answers to checks are void."""
+        with self._lock:
+            self._excluded.add(device)
+            self._checks.forget(device)
+
+    def wind_up(self) -> None:
+        """The picture is there: hand out nothing but checks, until work is added."""
+        with self._lock:
+            self._planner.drop()
+            self._numbers.clear()
+            self._asked = True
+
+    def keep_to(self, bit_class: str) -> None:
+        """An earlier run of a strict job was of this class."""
+        with self._lock:
+            self._bit_class = bit_class
+
+    def doubts(self, devices: Iterable[DeviceDescription]) -> bool:
+        """Whether a check is open that one of these devices could decide."""
+        with self._lock:
+            return self._checks.pending((d.id, d.bit_class) for d in devices if self._suits(d))
+
+    @property
+    def disputes(self) -> list[tuple[str, ...]]:
+        """Devices that contradict each other, and nobody has decided which is right."""
+        with self._lock:
+            return self._checks.disputes
+
+    @property
+    def checks(self) -> int:
+        """Leases that two devices have done, and which is right."""
+        with self._lock:
+            return self._checks.done
 
     def exclude(self, device: str) -> bool:
         """Give this device no more; False where it was excluded before."""
@@ -80,7 +154,7 @@ class LeaseDesk:
     def allowed(self, devices: Iterable[DeviceDescription]) -> list[DeviceDescription]:
         """Those that are not excluded; the planner shares the work among so many from now on."""
         with self._lock:
-            allowed = [device for device in devices if device.id not in self._excluded]
+            allowed = [device for device in devices if self._suits(device)]
             self._planner.devices = max(len(allowed), 1)
             return allowed
 
@@ -101,6 +175,11 @@ class LeaseDesk:
         """Samples in leases under way, all pixels and replicates together."""
         with self._lock:
             return self._planner.out_samples
+
+    def _suits(self, device: DeviceDescription) -> bool:
+        if device.id in self._excluded:
+            return False
+        return not self._strict or self._bit_class in (None, device.bit_class)
 
 
 def _deadline(expected: float | None) -> float:

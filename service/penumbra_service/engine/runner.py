@@ -38,6 +38,7 @@ from penumbra_service.engine.protocol import (
 )
 from penumbra_service.engine.snapshot import Snapshot, kernel_hash
 from penumbra_service.engine.task import Failure, Halt, RenderTask, RunFailedError, RunResult
+from penumbra_service.engine.trust import Trust
 from penumbra_service.film.film import Film
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.predict import fit_theta
@@ -49,7 +50,7 @@ from penumbra_service.jobs.batches import Batches
 from penumbra_service.jobs.dispatch import gain_of
 from penumbra_service.jobs.life import DeviceCrashed, Life, SceneReady, StopReached, WentWrong, step
 from penumbra_service.jobs.planning import WorkItem
-from penumbra_service.jobs.record import DeviceUse, Effect, Foretold, RunRecord
+from penumbra_service.jobs.record import Effect, Foretold, RunRecord
 
 __all__ = ["Failure", "Halt", "JobRunner", "RenderTask", "RunResult"]
 
@@ -111,7 +112,14 @@ class JobRunner:
         self._halt: Halt | None = None
         self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
-        self._desk = LeaseDesk(task.job, self._spec, hungry=lambda: self._inbox.put(None))
+        self._reason: str | None = None
+        self._desk = LeaseDesk(
+            task.job,
+            self._spec,
+            hungry=lambda: self._inbox.put(None),
+            strict=task.strict,
+            verify=task.verify,
+        )
         self._bid()
 
     @property
@@ -184,6 +192,10 @@ class JobRunner:
         self._life = Life(JobState.COMPILING, kept.record.crashes)
         self._clock = TraceClock(kept.record.seconds)
         self._tile_size = kept.tile_size
+        self._trust = Trust(kept.record, self._desk, self._engine.usable)
+        self._checked_before = kept.record.checked_leases
+        if kept.record.bit_class not in ("none", "mixed"):
+            self._desk.keep_to(kept.record.bit_class)
         batches = Batches(self._rule, kept.checked, ends=kept.record.ends)
         batches.reopen(kept.open_ends)
         film = Film(
@@ -214,16 +226,29 @@ class JobRunner:
 
     def _loop(self) -> RunResult:
         while True:
-            reason = self._advance()
-            if reason is not None:
-                return self._finish(reason)
+            if self._reason is None:
+                self._reason = self._advance()
+            if self._reason is not None and not self._unsure():
+                return self._finish(self._reason)
             self._hear()
             if self._halt is not None:
                 return self._halted(self._halt)
-            if self._canvas.batches.overdue(self._clock.seconds, self._remaining_seconds):
-                return self._finish("seconds")
+            if self._reason is None and self._overdue():
+                self._reason = "seconds"
+                continue
             self._tell()
             self._keep()
+
+    def _overdue(self) -> bool:
+        return self._canvas.batches.overdue(self._clock.seconds, self._remaining_seconds)
+
+    def _unsure(self) -> bool:
+        """Whether to wait for checks that devices are still at, now that the picture is there."""
+        self._desk.wind_up()
+        if self._desk.doubts(self._engine.usable()):
+            return True
+        self._trust.settle()
+        return False
 
     def _hear(self) -> None:
         """Wait for news and take in all that is there."""
@@ -243,26 +268,41 @@ class JobRunner:
             case SceneLoaded():
                 self._take_scene(device, event)
             case LeaseLost(lease, _, blamed, reason):
-                self._give_back(lease)
+                tried = self._give_back(lease, device.id if blamed else None)
                 if blamed:
-                    self._crashed(reason)
+                    self._crashed(device, reason, tried)
             case LeaseFailure():
                 self._take_failure(device, event)
             case NoDevice(reason):
                 raise RunFailedError("device", reason)
 
     def _take_result(self, device: DeviceDescription, result: LeaseResult) -> None:
-        if not self._desk.answered(result.lease, device.id, result.seconds):
+        if not self._trust.believes(device):
+            self._give_back(result.lease)
+            return
+        wrong = self._desk.checked(result, device)
+        if wrong is not None:
+            self._take_check(device, result, wrong)
+            return
+        if not self._desk.answered(result, device):
             return
         self._clock.start()
-        use = self._use_of(device)
-        use.leases += 1
-        use.seconds += result.seconds
-        self._record.trace_seconds += result.seconds
+        self._trust.delivered(device, result)
         before = self._canvas.samples
         self._canvas.take(result.nodes)
         self._pace.deliver(self._clock.seconds, self._canvas.samples - before)
         self._bid()
+
+    def _take_check(self, device: DeviceDescription, result: LeaseResult, wrong: list[str]) -> None:
+        """Another device has done a lease that is there already."""
+        self._trust.spent(device, result)
+        self._record.checked_leases = self._checked_before + self._desk.checks
+        for other in wrong:
+            self._canvas.discard(self._trust.disbelieve(other))
+        if wrong and self._reason is not None:
+            self._reason = None
+            self._canvas.look_again()
+        self._engine.wake()
 
     def _bid(self) -> None:
         """What a second of a device is worth here, after what it has cost so far."""
@@ -280,42 +320,33 @@ class JobRunner:
         record.compile_warm = loaded.compile_warm and record.compile_warm is not False
         record.effects = [Effect(*effect) for effect in loaded.effects]
         record.program_hash = loaded.program_hash
-        self._use_of(device)
+        self._trust.use_of(device)
         self._tell(force=True)
 
     def _take_failure(self, device: DeviceDescription, failure: LeaseFailure) -> None:
         if failure.kind in ("scene", "storage"):
             raise RunFailedError(failure.kind, failure.message)
-        self._give_back(failure.lease)
-        if failure.kind != "build":
-            self._crashed(f"device {device.id}: {failure.message}")
-            return
-        first = self._desk.exclude(device.id)
-        if not self._desk.allowed(self._engine.usable()):
-            raise RunFailedError("build", failure.message)
-        if first:
-            reason = failure.message.splitlines()[0]
-            self._record.warnings.append(f"device {device.id} was left out: {reason}")
+        build = failure.kind == "build"
+        tried = self._give_back(failure.lease, None if build else device.id)
+        if build:
+            self._trust.refused_to_build(device, failure.message)
+        else:
+            self._crashed(device, f"device {device.id}: {failure.message}", tried)
 
-    def _give_back(self, lease: str) -> None:
-        self._desk.give_back(lease)
+    def _give_back(self, lease: str, failed_on: str | None = None) -> frozenset[str]:
+        """The work goes to others; the devices that it has failed on."""
+        tried = self._desk.give_back(lease, failed_on)
         self._record.redone_leases += 1
         self._engine.wake()
+        return tried
 
-    def _crashed(self, reason: str) -> None:
+    def _crashed(self, device: DeviceDescription, reason: str, tried: frozenset[str]) -> None:
         self._life, _ = step(self._life, DeviceCrashed(reason))
         self._record.crashes = self._life.crashes
-        self._save()
-        if self._life.state is JobState.FAILED:
-            raise RunFailedError("crash", self._life.reason or reason)
-
-    def _use_of(self, device: DeviceDescription) -> DeviceUse:
-        key = f"{device.id} {device.bit_class}"
-        if key not in self._record.devices:
-            self._record.devices[key] = DeviceUse(
-                device.id, device.name, device.platform, device.driver, device.bit_class
-            )
-        return self._record.devices[key]
+        try:
+            self._trust.failed(device, reason, tried)
+        finally:
+            self._save()
 
     def _advance(self) -> str | None:
         """Open batches, and check the current one where it is complete; why to stop, if so."""

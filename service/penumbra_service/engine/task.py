@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Final
 
 from penumbra_scene.job import JobState, StopReason
 from penumbra_scene.scene import Scene
@@ -14,6 +15,9 @@ from penumbra_service.film.develop import Developed, develop_bands
 from penumbra_service.film.film import MEMORY_LIMIT, Film
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.record import RunRecord
+
+VERIFY_SHARE: Final = 0.01
+"""Of leases that are done twice, unless told otherwise."""
 
 
 class Halt(StrEnum):
@@ -45,6 +49,10 @@ class RenderTask:
     memory_limit: int = MEMORY_LIMIT
     decode: DecodeLimits = DEFAULTS
     """On assets that have to be decoded anew."""
+    strict: bool = False
+    """Only devices of one bit class: that of the first that works on it."""
+    verify: float = VERIFY_SHARE
+    """Share of leases that two devices do and whose sums are compared, beside each device's first; 0: none."""
 
 
 @dataclass(frozen=True)

@@ -135,8 +135,18 @@ class Film:
         self._evict(tile)
         return accumulator
 
+    def discard(self, tile: Tile) -> None:
+        """Forget all samples of a tile: it starts again. Raises OSError where its file cannot be deleted."""
+        accumulator = self._resident.pop(tile, None)
+        if accumulator is not None:
+            self._bytes -= accumulator.nbytes
+        self._dirty.discard(tile)
+        self._store.delete(tile_name(tile))
+        if self._ranges.pop(tile, None):
+            self._lost.append(tile)
+
     def take_lost(self) -> list[Tile]:
-        """Tiles whose file turned out broken since the last call: they start again."""
+        """Tiles whose file turned out broken, or that were discarded, since the last call: they start again."""
         lost, self._lost = self._lost, []
         return lost
 

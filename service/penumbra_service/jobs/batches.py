@@ -110,6 +110,14 @@ class Batches:
             self.current, self.ahead = self.ahead, None
         return reason
 
+    def look_again(self) -> None:
+        """The samples of the last end that was checked were wrong: it is the current one again. What was begun
+        beyond it is not waited for."""
+        if not self.ends:
+            return
+        self.current, self.ahead, self.settled = self.ends.pop(), None, None
+        self.checked = self.ends[-1] if self.ends else 0
+
     def settle(self) -> int:
         """The end of the picture: where the rule held, or the last batch that was checked when time ran
         out."""

@@ -14,9 +14,6 @@ from typing import Final
 
 from penumbra_scene.job import JobState
 
-MAX_CRASHES: Final = 3
-"""Device processes that may die under one job before the job is blamed and fails."""
-
 
 class Action(Enum):
     """What the caller does after a step, in the order given."""
@@ -157,7 +154,7 @@ def step(life: Life, event: Event) -> Step:
     if isinstance(event, ServiceRestarted):
         return _restarted(life)
     if isinstance(event, DeviceCrashed):
-        return _crashed(life, event)
+        return _crashed(life)
     if isinstance(event, WentWrong):
         return _went_wrong(life, event)
     if isinstance(event, CancelAsked) and life.state in _RUNNING:
@@ -175,15 +172,11 @@ def _restarted(life: Life) -> Step:
     return life, ()
 
 
-def _crashed(life: Life, event: DeviceCrashed) -> Step:
-    """Crashes are counted over the job's whole life, so that a restart gives it no new chances."""
+def _crashed(life: Life) -> Step:
+    """Crashes are counted over the job's whole life; what they mean for it says blame.py."""
     if life.state not in _ACTIVE:
         return life, ()
-    crashes = life.crashes + 1
-    if crashes < MAX_CRASHES:
-        return replace(life, crashes=crashes), (Action.REISSUE,)
-    reason = f"{crashes} device processes ended under this job; the last: {event.reason}"
-    return Life(JobState.FAILED, crashes, reason), (Action.DROP, Action.CLEAN)
+    return replace(life, crashes=life.crashes + 1), (Action.REISSUE,)
 
 
 def _went_wrong(life: Life, event: WentWrong) -> Step:

@@ -77,6 +77,7 @@ class LeasePlanner:
         self._ready: deque[WorkItem] = deque()
         self._ready_samples = 0
         self._attempts: dict[WorkItem, int] = {}
+        self._failed_on: dict[WorkItem, frozenset[str]] = {}
         self._out: dict[int, PlannedLease] = {}
         self._rates: dict[str, _Rate] = {}
         self._next = 1
@@ -151,17 +152,24 @@ class LeasePlanner:
             self._measure(device, lease.samples / seconds)
         return lease
 
-    def lost(self, number: int) -> PlannedLease | None:
-        """A lease will not be answered: its work goes to the front of the queue."""
+    def lost(self, number: int, failed_on: str | None = None) -> PlannedLease | None:
+        """A lease will not be answered: its work goes to the front of the queue. `failed_on`: the device that it
+        failed on, if it did."""
         lease = self._out.pop(number, None)
         if lease is None:
             return None
         for item in lease.items:
             self._attempts[item] = lease.attempt
+            if failed_on is not None:
+                self._failed_on[item] = self.failed_on(item) | {failed_on}
         for item in reversed(lease.items):
             self._push_front(item)
         self.redone += 1
         return lease
+
+    def failed_on(self, item: WorkItem) -> frozenset[str]:
+        """Devices that this work has failed on."""
+        return self._failed_on.get(item, frozenset())
 
     def drop(self) -> None:
         """Forget all work; answers to leases under way are not waited for."""
@@ -196,6 +204,8 @@ class LeasePlanner:
         self._push_front(second)
         if item in self._attempts:
             self._attempts[first] = self._attempts[second] = self._attempts.pop(item)
+        if item in self._failed_on:
+            self._failed_on[first] = self._failed_on[second] = self._failed_on.pop(item)
         return first
 
     def _bytes(self, item: WorkItem) -> int:

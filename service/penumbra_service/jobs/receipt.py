@@ -89,6 +89,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         bit_class=record.bit_class,
         plan=_plan(record),
         redone_leases=record.redone_leases,
+        checked_leases=record.checked_leases,
         warnings=(*record.warnings, *context.warnings),
     )
 
@@ -213,6 +214,8 @@ def _devices(record: RunRecord) -> tuple[ReceiptDevice, ...]:
             bit_class=use.bit_class,
             leases=use.leases,
             seconds=use.seconds,
+            failures=use.failures,
+            blocked=use.blocked,
         )
         for use in record.devices.values()
     )

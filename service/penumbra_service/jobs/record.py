@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from penumbra_service.film.predict import Point
 
@@ -21,6 +21,10 @@ class DeviceUse:
     bit_class: str
     leases: int = 0
     seconds: float = 0.0
+    failures: int = 0
+    """Crashes, hangs and refusals under this job."""
+    blocked: Literal["build", "failures", "wrong"] | None = None
+    """Why it got no more of this job."""
 
 
 @dataclass
@@ -84,6 +88,8 @@ class RunRecord:
     program_hash: str | None = None
     kernel_hash: str | None = None
     redone_leases: int = 0
+    checked_leases: int = 0
+    """Done by two devices and compared."""
     crashes: int = 0
     foretold: Foretold | None = None
     counts: PixelCounts | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from penumbra_scene.job import JobState
 from penumbra_service.jobs.life import (
-    MAX_CRASHES,
     Action,
     CancelAsked,
     DeviceCrashed,
@@ -65,25 +64,14 @@ def test_every_open_job_can_be_cancelled(state):  # type: ignore[no-untyped-def]
     assert actions[-1] is Action.CLEAN
 
 
-def test_three_crashes_fail_the_job_with_the_reason():
-    life, _ = _walk(Picked(), SceneReady())
-    for _ in range(MAX_CRASHES - 1):
-        life, actions = step(life, DeviceCrashed("SIGABRT"))
-        assert life.state is JobState.RENDERING
-        assert actions == (Action.REISSUE,)
-    life, actions = step(life, DeviceCrashed("SIGABRT in clBuildProgram"))
-    assert life.state is JobState.FAILED
-    assert "SIGABRT in clBuildProgram" in (life.reason or "")
-    assert Action.DROP in actions
-
-
 def test_crashes_are_counted_over_restarts_and_pauses():
-    life, _ = _walk(Picked(), DeviceCrashed("a"), ServiceRestarted(), Picked(), DeviceCrashed("b"))
+    life, actions = _walk(Picked(), DeviceCrashed("a"), ServiceRestarted(), Picked(), DeviceCrashed("b"))
     life, _ = step(life, PauseAsked())
     life, _ = step(life, ResumeAsked())
     life, _ = step(life, Picked())
-    life, _ = step(life, DeviceCrashed("c"))
-    assert life.state is JobState.FAILED
+    life, actions = step(life, DeviceCrashed("c"))
+    assert (life.state, life.crashes) == (JobState.COMPILING, 3)
+    assert actions == (Action.REISSUE,)
 
 
 @pytest.mark.parametrize("state", list(JobState))
