@@ -16,7 +16,7 @@ export VENV PYTHON
 .PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights clean distclean
 
 help: ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 setup: ## make the virtual environment (every other target does so by itself)
 	@./scripts/bootstrap.sh
@@ -26,6 +26,10 @@ demo: setup ## start the service, render an example scene as a client would, sto
 
 test: setup ## run the whole test suite
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(ARGS)
+
+.PHONY: test-hard
+test-hard: setup ## the hard cases with all their samples: some minutes
+	@PENUMBRA_HARD_CASES=full $(BIN)/python -m pytest tests/hardcases --timeout 1800 $(ARGS)
 
 serve: setup ## keep the service up on 127.0.0.1:8484, its data in data/ (DATA=folder)
 	@exec $(BIN)/penumbra serve --data $(DATA) $(ARGS)

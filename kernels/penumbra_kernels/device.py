@@ -155,12 +155,13 @@ class Device:
     ) -> cl.Program:
         """Assemble and build a program, from the cache where it is there. Raises BuildError with the log.
 
+        flags: may hold flags of the device's kind too, to build another kind's variant.
         first_launch: launches the kernels without doing anything. Drivers that compile at a kernel's first launch do it
         then, before the binary is taken, so that it holds the final code.
         """
         import pyopencl as cl
 
-        source = assemble(entry, {**flags, **self.flags}, text)
+        source = assemble(entry, {**self.flags, **flags}, text)
         key = self.cache_key(source)
         known = self._from_cache(key)
         if known is not None:

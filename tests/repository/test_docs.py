@@ -17,7 +17,7 @@ DOCUMENTS = sorted(
     if path.is_file()
 )
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
-_TARGET = re.compile(r"^([a-z]+):.*##", re.MULTILINE)
+_TARGET = re.compile(r"^([a-z-]+):.*##", re.MULTILINE)
 
 
 def _commands() -> set[str]:
@@ -53,7 +53,7 @@ def _code(document: Path) -> str:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_make_targets_that_are_named_exist(document: Path) -> None:
     targets = set(_TARGET.findall((ROOT / "Makefile").read_text()))
-    lines = re.findall(r"^\s*make ((?:[a-z]+(?: |$))+)", _code(document), re.MULTILINE)
+    lines = re.findall(r"^\s*make ((?:[a-z-]+(?: |$))+)", _code(document), re.MULTILINE)
     assert {word for line in lines for word in line.split()} <= targets
 
 

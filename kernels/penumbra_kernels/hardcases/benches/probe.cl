@@ -1,6 +1,13 @@
-// Traces one ray a work-item and writes what intersect, surface_at, occluded and spawn_ray say of it.
+// Traces rays and writes what intersect, surface_at, occluded and spawn_ray say of it.
 #include "geometry/intersect.cl"
 #include "geometry/surface.cl"
+
+// One ray a work-item on GPUs; on CPUs many, since PoCL spends some 3 ns on each item.
+#if PENUMBRA_DEVICE_GPU
+#define RAYS_PER_ITEM 1u
+#else
+#define RAYS_PER_ITEM 64u
+#endif
 
 typedef struct {
   float t, u, v;
@@ -63,7 +70,7 @@ __kernel void probe(const __global TreeNode *nodes, const __global TreeTriangles
   scene.times = times;
   scene.root = root;
   scene.plane_count = plane_count;
-  const uint first = (uint)get_global_id(0) * 64u, end = MIN(first + 64u, count);
+  const uint first = (uint)get_global_id(0) * RAYS_PER_ITEM, end = MIN(first + RAYS_PER_ITEM, count);
   for (uint i = first; i < end; i++) {
     const __global float *r = rays + 8u * i;
     Ray ray;
