@@ -21,6 +21,8 @@ ROOT: Final = Path(__file__).resolve().parent.parent
 EXAMPLES: Final = ROOT / "examples"
 PICTURES: Final = ROOT / "docs" / "pictures"
 GALLERY: Final = ROOT / "docs" / "gallery.md"
+SEQUENCES: Final = {"turntable": "0-23"}
+"""Frames of the examples that move; their picture is the contact sheet, their numbers are the last frame's."""
 _ROW: Final = re.compile(r"^\| \[`(\w+)`\]\(\w+\.json\) \| (.*) \| (.*) \|$", re.MULTILINE)
 _HEAD: Final = """\
 # Gallery
@@ -54,11 +56,14 @@ def rows() -> list[tuple[str, str, str]]:
 def render(name: str) -> int:
     """One picture and its receipt; the command's exit status."""
     scene = EXAMPLES / f"{name}.json"
+    frames = SEQUENCES.get(name)
     with tempfile.TemporaryDirectory() as out:
-        status = penumbra(["render", str(scene), "--out", out])
+        status = penumbra(["render", str(scene), "--out", out, *(["--frames", frames] if frames else [])])
         if status == 0:
-            shutil.copy(Path(out) / "thumbnail.png", PICTURES / f"{name}.png")
-            shutil.copy(Path(out) / "receipt.json", PICTURES / f"{name}.json")
+            picture = "contact_sheet.png" if frames else "thumbnail.png"
+            receipt = max(Path(out).rglob("receipt.json"))
+            shutil.copy(Path(out) / picture, PICTURES / f"{name}.png")
+            shutil.copy(receipt, PICTURES / f"{name}.json")
     return status
 
 
@@ -83,8 +88,9 @@ def numbers(receipt: Receipt) -> str:
     error = receipt.error.relative_error
     told = "its error is not known" if error is None else f"relative error {100 * error:.2g} %"
     effects = ", ".join(effect.name for effect in receipt.effects_in) or "none"
+    frame = "" if receipt.frame is None else f"Frame {receipt.frame}: "
     return (
-        f"{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`), {told}, "
+        f"{frame}{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`), {told}, "
         f"{receipt.forecast.real_seconds:.1f} s on {receipt.devices[0].name}. Compiled in: {effects}."
     )
 

@@ -16,6 +16,8 @@ import httpx
 from penumbra_scene.job import (
     AssetInfo,
     DevicePage,
+    FramePage,
+    FrameStatus,
     Health,
     JobPage,
     JobState,
@@ -34,7 +36,7 @@ from penumbra_client.errors import (
     cannot_write,
 )
 from penumbra_client.http import Connection
-from penumbra_client.results import RESULTS
+from penumbra_client.results import FRAMES, OF_SEQUENCE, RESULTS, frame_folder
 from penumbra_client.scenefile import (
     JsonObject,
     content_hash,
@@ -213,27 +215,57 @@ class Client:
                 report(event)
         return finished(self.job(job_id))
 
+    def frames(self, job_id: str) -> Iterator[FrameStatus]:
+        """The frames of a job that has several, by number; none of any other job."""
+        after: int | None = -1
+        while after is not None:
+            page = self._connection.document(
+                FramePage, "GET", f"{_path(job_id)}/frames", params={"after": after, "limit": 1000}
+            )
+            yield from page.items
+            after = page.next
+
     def fetch(
         self, job_id: str, folder: str | Path, only: Collection[str] = tuple(RESULTS)
     ) -> dict[str, Path]:
         """Download results into a folder, which is made if need be: any of exr, thumbnail, heatmap, receipt.
 
-        Returns the paths by these names. A file appears whole or not at all. Raises NotFinishedError where
-        the job has no such result yet.
+        Returns the paths by these names. A file appears whole or not at all. Of a job with several frames the frames
+        that are done are fetched into folders of their own, `frames/0012/result.exr`, the contact sheet and, where
+        the service makes one, the preview movie. Raises NotFinishedError where the job has no such result yet.
         """
         job = self.job(job_id)
         target = Path(folder)
         try:
             target.mkdir(parents=True, exist_ok=True)
-            return {name: self._download(job, name, target / RESULTS[name]) for name in only}
+            if job.frames is not None:
+                return self._fetch_frames(job, target, only)
+            return {
+                name: self._download(job, getattr(job.links, name), target / RESULTS[name]) for name in only
+            }
         except OSError as error:
             raise cannot_write(target, error) from error
 
-    def _download(self, job: JobStatus, name: str, path: Path) -> Path:
+    def _fetch_frames(self, job: JobStatus, target: Path, only: Collection[str]) -> dict[str, Path]:
+        done = [frame for frame in self.frames(job.id) if frame.state == JobState.DONE]
+        if not done:
+            raise NotFinishedError(f"job {job.id} is {job.state} and has no finished frame yet")
+        for frame in done:
+            here = target / frame_folder(frame.number)
+            here.mkdir(parents=True, exist_ok=True)
+            for name in only:
+                self._download(job, getattr(frame.links, name), here / RESULTS[name])
+        found = {"frames": target / FRAMES}
+        for name, file in OF_SEQUENCE.items():
+            with contextlib.suppress(NotFinishedError):
+                found[name] = self._download(job, getattr(job.links, name), target / file)
+        return found
+
+    def _download(self, job: JobStatus, link: str, path: Path) -> Path:
         partial = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
             with (
-                self._connection.stream("GET", getattr(job.links, name)) as response,
+                self._connection.stream("GET", link) as response,
                 partial.open("wb") as file,
             ):
                 for block in response.iter_bytes():
@@ -242,7 +274,7 @@ class Client:
         except RefusedError as refused:
             if refused.problem.status != httpx.codes.NOT_FOUND:
                 raise
-            raise NotFinishedError(f"job {job.id} is {job.state} and has no {RESULTS[name]} yet") from None
+            raise NotFinishedError(f"job {job.id} is {job.state} and has no {path.name} yet") from None
         finally:
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)

@@ -36,9 +36,9 @@ class Engine(Protocol):
         out: Path,
         devices: str,
         report: Callable[[ProgressEvent], None],
-    ) -> Receipt:
+    ) -> tuple[Receipt, ...]:
         """Render a job whose files lie under `folder`, and leave its results in `out` under the client's
-        names.
+        names; the receipts of its pictures, one a frame where there are several.
 
         `devices` are ids with commas between them, or "" for all. Blocks; reports as it goes.
         """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime
 from enum import StrEnum
 from typing import Annotated, Final
@@ -24,10 +23,9 @@ from penumbra_scene.base import (
 )
 from penumbra_scene.errors import Problem
 from penumbra_scene.film import Film
+from penumbra_scene.frames import ACCEPTED, PATTERN, FramesError, is_range, parse_frames
 from penumbra_scene.scene import Scene
 from penumbra_scene.settings import Integrator, Sampler, Stop
-
-_FRAMES: Final = r"^[0-9]{1,7}(-[0-9]{1,7}(x[0-9]{1,5})?)?(,[0-9]{1,7}(-[0-9]{1,7}(x[0-9]{1,5})?)?)*$"
 
 JobId = Annotated[str, StringConstraints(pattern=r"^[0-9A-Za-z_-]{1,64}$")]
 Count = Annotated[int, Field(ge=0), NotBoolean]
@@ -41,9 +39,10 @@ class JobRequest(Model):
     """Default: the scene's name."""
     priority: Annotated[int, Field(ge=-100, le=100), NotBoolean] = 0
     """Higher ones go first."""
-    frames: Annotated[str, StringConstraints(pattern=_FRAMES, max_length=1000)] | None = None
-    """The frame to render, such as "12": the scene at the time frame / fps. Null is the scene at time 0.
-    Ranges ("1-240", "1-240x2", "1,5,9") are part of the format; as yet only single frames are accepted."""
+    frames: Annotated[str, StringConstraints(pattern=PATTERN, max_length=1000)] | None = None
+    """What to render: one frame such as "12", the scene at the time frame / fps; or ranges and lists of frames,
+    "1-240", "1-240x2" (every second one), "1,5,10-20", each of which becomes a picture of its own. Null is the scene
+    at time 0."""
     fps: Annotated[Positive, Field(le=1000)] = 24.0
     """Frames a second."""
     strict: Bool = False
@@ -57,15 +56,26 @@ class JobRequest(Model):
     stop: Stop | None = None
 
     @model_validator(mode="after")
-    def _one_frame(self) -> JobRequest:
-        if self.frames is not None and not re.fullmatch(r"[0-9]+", self.frames):
-            raise error_at("/frames", "ranges of frames are not rendered yet", 'null, or one such as "12"')
+    def _frames_exist(self) -> JobRequest:
+        try:
+            parse_frames(self.frames or "0")
+        except FramesError as error:
+            raise error_at("/frames", str(error), ACCEPTED) from None
         return self
 
     @property
+    def sequence(self) -> tuple[int, ...]:
+        """The frames of a job that makes several pictures; empty where it makes one."""
+        return parse_frames(self.frames) if self.frames is not None and is_range(self.frames) else ()
+
+    @property
     def time(self) -> float:
-        """Seconds: when the scene is looked at."""
-        return 0.0 if self.frames is None else int(self.frames) / self.fps
+        """Seconds: when the scene is looked at; for a sequence, its first frame."""
+        return 0.0 if self.frames is None else self.time_of(parse_frames(self.frames)[0])
+
+    def time_of(self, frame: int) -> float:
+        """Seconds: when a frame looks at the scene."""
+        return frame / self.fps
 
     def resolved_scene(self) -> Scene:
         """The scene as it will be rendered, with this request's sections in place of its own."""
@@ -125,7 +135,8 @@ class Interval(Model):
 
 
 class JobLinks(Model):
-    """Paths on the same host. What is not there yet answers 404."""
+    """Paths on the same host. What is not there yet answers 404. A job of several frames has pictures and receipts
+    with each frame; its own thumbnail and noise map are those of the newest."""
 
     self: str
     exr: str
@@ -134,6 +145,10 @@ class JobLinks(Model):
     receipt: str
     events: str
     page: str
+    frames: str | None = None
+    """The frames of a job that has several, as have the next two."""
+    contact_sheet: str | None = None
+    movie: str | None = None
 
 
 class Progress(Model):
@@ -172,8 +187,50 @@ class ErrorPoint(Model):
     relative_error_interval: Interval | None = None
 
 
+class FrameCounts(Model):
+    """How far the frames of a job are."""
+
+    total: Count
+    done: Count = 0
+    failed: Count = 0
+
+
+class FrameLinks(Model):
+    """Paths on the same host. What is not there yet answers 404."""
+
+    self: str
+    exr: str
+    thumbnail: str
+    heatmap: str
+    receipt: str
+
+
+class FrameStatus(Progress):
+    """A frame as it stands."""
+
+    number: Count
+    time: Measured
+    """Seconds: when the scene is looked at."""
+    state: JobState
+    stop_reason: StopReason | None = None
+    problem: Problem | None = None
+    """Why the frame failed."""
+    started: datetime | None = None
+    finished: datetime | None = None
+    links: FrameLinks
+
+
+class FramePage(Model):
+    """A page of the frames of a job, by number."""
+
+    items: tuple[FrameStatus, ...]
+    next: Count | None = None
+    """Pass it as `after` to get the next page; null at the end."""
+
+
 class JobStatus(Progress):
-    """A job as it stands."""
+    """A job as it stands. Where it has several frames, numbers are averages over them, seconds their sum, and the
+    error is that of the newest finished one."""
 
     id: JobId
     name: str
@@ -193,6 +250,8 @@ class JobStatus(Progress):
     """Why the job failed."""
     devices: tuple[str, ...] = ()
     """Ids of the devices that work, or worked, on it."""
+    frames: FrameCounts | None = None
+    """Null: the job makes a single picture."""
     links: JobLinks
     curve: tuple[ErrorPoint, ...] = ()
     """The error as it fell so far; left out of lists. Once the job is done, the receipt has all of it."""
@@ -213,6 +272,8 @@ class ProgressEvent(Progress):
     state: JobState
     stop_reason: StopReason | None = None
     problem: Problem | None = None
+    frames: FrameCounts | None = None
+    """Null: the job makes a single picture."""
 
 
 class DeviceState(StrEnum):

@@ -22,6 +22,8 @@ MAX_MATERIALS: Final = 65536
 MAX_ALBEDO_TABLES: Final = 1024
 """Different (kind, roughness, anisotropy, index of refraction) of rough materials: each costs some time."""
 MAX_PROTOTYPES: Final = 65536
+MAX_FRAMES: Final = 10_000
+"""Of one job."""
 MAX_STEPS: Final = 64
 MAX_ERRORS: Final = 50
 """Errors that one answer lists."""

@@ -155,6 +155,8 @@ class Receipt(Model):
     """Of the kernels package's sources."""
     time: Float = 0.0
     """Seconds: when the scene was looked at."""
+    frame: Count | None = None
+    """Its number, where the job has several."""
     film: ReceiptFilm
     sampler: str
     seed: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")]

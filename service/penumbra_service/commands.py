@@ -230,7 +230,7 @@ class LocalEngine:
         out: Path,
         devices: str,
         report: Callable[[ProgressEvent], None],
-    ) -> Receipt:
+    ) -> tuple[Receipt, ...]:
         """Render a job whose files lie under `folder` and leave its results in `out`. Raises CommandError."""
         from penumbra_service.rendering import render
 

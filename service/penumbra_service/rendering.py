@@ -4,31 +4,31 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from penumbra_kernels import cache
+from penumbra_scene.errors import TYPE_PREFIX
 from penumbra_scene.exits import Exit
 from penumbra_scene.job import (
     DevicePage,
     DeviceState,
     JobRequest,
     JobState,
-    Progress,
     ProgressEvent,
 )
 from penumbra_scene.receipt import Receipt
 
 from penumbra_service.commands import CommandError
 from penumbra_service.engine.local import LocalEngine, NoDeviceError, list_devices
-from penumbra_service.engine.protocol import Engine
-from penumbra_service.engine.runner import Failure, JobRunner, RenderTask
+from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.status import device_status
-from penumbra_service.film.preview import PreviewImage
-from penumbra_service.jobs.receipt import ReceiptContext
-from penumbra_service.results import ALL, Latest, write_results
+from penumbra_service.frames import run_frames
+from penumbra_service.picture import Picture, PictureRunner
+from penumbra_service.results import ALL, OF_SEQUENCE, frame_folder
+from penumbra_service.running import Control, EndedFrame, Outcome
+from penumbra_service.sequence import frames_at_once
 
 JOB: Final = "local"
 """What a render without a service is called where a job's id stands."""
@@ -56,8 +56,9 @@ def local_devices() -> DevicePage:
 
 def render(
     request: JobRequest, folder: Path, out: Path, devices: str, report: Callable[[ProgressEvent], None]
-) -> Receipt:
-    """Render a job and leave its results in `out`; files that the scene names lie under `folder`.
+) -> tuple[Receipt, ...]:
+    """Render a job and leave its results in `out`; files that the scene names lie under `folder`. The receipts of its
+    pictures: one, or those of its frames, whose files lie in folders of their own.
 
     `devices` are ids with commas between them, or "" for all. Raises CommandError, OSError.
     """
@@ -67,59 +68,97 @@ def render(
         LocalEngine(ids or None) as engine,
     ):
         try:
-            engine.wait_known()
+            usable = engine.wait_known()
         except NoDeviceError as error:
             raise CommandError(str(error), Exit.DEVICE) from error
-        receipt = render_on(engine, request, folder, Path(work), report)
-        for name in ALL:
-            if (Path(work) / name).exists():
-                shutil.move(Path(work) / name, out / name)
-    return receipt
+        if not request.sequence:
+            receipt = render_on(engine, request, folder, Path(work), report)
+            _move(Path(work), out, ALL)
+            return (receipt,)
+        book = _OutBook(Path(work), out)
+        whole = _picture(request, Path(work), report)
+        try:
+            outcome = run_frames(_pictures(engine, folder), request, whole, book, frames_at_once(len(usable)))
+        finally:
+            _move(Path(work), out, OF_SEQUENCE)
+        _raise_problem(outcome)
+        return tuple(book.receipts[frame] for frame in sorted(book.receipts))
 
 
 def render_on(
-    engine: Engine,
+    engine: ServedEngine,
     request: JobRequest,
     folder: Path,
     work: Path,
     report: Callable[[ProgressEvent], None] = lambda event: None,
 ) -> Receipt:
-    """The same on an engine that runs already; results, snapshots and all lie in `work` afterwards."""
-    scene = request.resolved_scene()
-    started = datetime.now(UTC)
-    latest = Latest()
+    """A single picture on an engine that runs already; results, snapshots and all lie in `work` afterwards."""
+    outcome = _pictures(engine, folder).run(_picture(request, work, report))
+    _raise_problem(outcome)
+    assert outcome.receipt is not None
+    return outcome.receipt
+
+
+def _pictures(engine: ServedEngine, folder: Path) -> PictureRunner:
     assets = cache.folder() / "assets"
     assets.mkdir(parents=True, exist_ok=True)
-    task = RenderTask(
+    return PictureRunner(engine, assets, scene_folder=folder)
+
+
+def _picture(request: JobRequest, work: Path, report: Callable[[ProgressEvent], None]) -> Picture:
+    scene = request.resolved_scene()
+
+    def tell(state: JobState, news: Mapping[str, Any]) -> None:
+        live = {name: value for name, value in news.items() if name in ProgressEvent.model_fields}
+        report(ProgressEvent.model_validate({**live, "id": JOB, "state": state}))
+
+    return Picture(
         JOB,
+        request.name or scene.name,
         scene,
         work,
-        assets_folder=assets,
-        scene_folder=folder,
+        Control(),
+        report=tell,
+        show=lambda: None,
         time=request.time,
         strict=request.strict,
     )
 
-    def tell(state: JobState, progress: Progress) -> None:
-        report(ProgressEvent(id=JOB, state=state, **progress.model_dump()))
 
-    def keep(image: PreviewImage) -> None:
-        latest.image = image
+class _OutBook:
+    """Implements running.FrameBook: files of frames go where the user wants them."""
 
-    result = JobRunner(engine, task, on_progress=tell, on_preview=keep).run()
-    _raise_failure(result.failure)
-    context = ReceiptContext(
-        job=JOB,
-        name=request.name or scene.name,
-        created=started,
-        started=started,
-        finished=datetime.now(UTC),
-        queue_seconds=0.0,
-        time=request.time,
-    )
-    return write_results(work, scene, result, latest.image, context)
+    def __init__(self, work: Path, out: Path) -> None:
+        self._work = work
+        self._out = out
+        self.receipts: dict[int, Receipt] = {}
+
+    def ended(self) -> dict[int, EndedFrame]:
+        return {}
+
+    def report(self, frame: int, state: JobState, news: Mapping[str, Any]) -> None:
+        pass
+
+    def show(self, frame: int) -> None:
+        pass
+
+    def end(self, frame: int, outcome: Outcome) -> None:
+        here = frame_folder(frame)
+        if outcome.receipt is not None:
+            self.receipts[frame] = outcome.receipt
+            (self._out / here).mkdir(parents=True, exist_ok=True)
+            _move(self._work / here, self._out / here, ALL)
+        shutil.rmtree(self._work / here, ignore_errors=True)
 
 
-def _raise_failure(failure: Failure | None) -> None:
-    if failure is not None:
-        raise CommandError(failure.message, EXITS.get(failure.kind, Exit.FAILED))
+def _move(source: Path, target: Path, names: Iterable[str]) -> None:
+    for name in names:
+        if (source / name).exists():
+            shutil.move(source / name, target / name)
+
+
+def _raise_problem(outcome: Outcome) -> None:
+    problem = outcome.problem
+    if problem is not None:
+        kind = problem.type.removeprefix(f"{TYPE_PREFIX}job-")
+        raise CommandError(problem.detail, EXITS.get(kind, Exit.FAILED))

@@ -30,6 +30,18 @@ THUMBNAIL: Final = "thumbnail.png"
 HEATMAP: Final = "heatmap.png"
 RECEIPT: Final = "receipt.json"
 ALL: Final = (RESULT, THUMBNAIL, HEATMAP, RECEIPT)
+"""What a picture leaves."""
+CONTACT_SHEET: Final = "contact_sheet.png"
+MOVIE: Final = "preview.mp4"
+OF_SEQUENCE: Final = (CONTACT_SHEET, MOVIE)
+"""What a job of several frames leaves besides what each of them does."""
+FRAMES: Final = "frames"
+
+
+def frame_folder(frame: int) -> str:
+    """Where a frame's files lie, relative to its job's: names sort as numbers do up to 9999."""
+    return f"{FRAMES}/{frame:04d}"
+
 
 ATTRIBUTE: Final = "penumbra:"
 """Before the names of our own attributes in the EXR."""
@@ -117,6 +129,9 @@ def attributes(receipt: Receipt) -> dict[str, str | int | float]:
         "versions": " ".join(f"{name}={version}" for name, version in receipt.versions.items()),
         "biased": "no",
     }
+    if receipt.frame is not None:
+        ours["frame"] = receipt.frame
+        ours["time"] = receipt.time
     if receipt.error.relmse is not None and receipt.error.relative_error is not None:
         ours["relmse"] = receipt.error.relmse
         ours["relativeError"] = receipt.error.relative_error

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from penumbra_scene.errors import Problem
 from penumbra_scene.job import DeviceStatus, JobRequest, JobState, StopReason
+from penumbra_scene.receipt import Receipt
 
 
 class Halt(StrEnum):
@@ -57,6 +58,33 @@ class Control:
 
 
 @dataclass(frozen=True)
+class EndedFrame:
+    """A frame that needs no more work."""
+
+    failed: bool
+    seconds: float
+    """Of tracing."""
+    samples: float
+    """A pixel."""
+
+
+class FrameBook(Protocol):
+    """Where a runner writes down how the frames of a job stand. Any thread."""
+
+    def ended(self) -> Mapping[int, EndedFrame]:
+        """The frames that earlier runs of the job have ended."""
+
+    def report(self, frame: int, state: JobState, news: Mapping[str, Any]) -> None:
+        """A frame has moved; `news` are fields of penumbra_scene.job.Progress."""
+
+    def show(self, frame: int) -> None:
+        """There are a new thumbnail and noise map in the frame's folder."""
+
+    def end(self, frame: int, outcome: Outcome) -> None:
+        """A frame has ended; its results lie in its folder. Raises OSError where they cannot be kept."""
+
+
+@dataclass(frozen=True)
 class Task:
     """A job for a runner."""
 
@@ -72,7 +100,9 @@ class Task:
     report: Callable[[JobState, Mapping[str, Any]], None]
     """Called with a state and fields of penumbra_scene.job.Progress (or `devices`) whenever there is news."""
     show: Callable[[], None]
-    """Called when there are a new thumbnail and noise map in the folder."""
+    """Called when there are a new thumbnail and noise map in the folder, or a contact sheet."""
+    frames: FrameBook
+    """Of a job that has several."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +111,8 @@ class Outcome:
 
     stop_reason: StopReason | None = None
     problem: Problem | None = None
+    receipt: Receipt | None = None
+    """Of a picture that is there."""
 
     @property
     def final(self) -> bool:

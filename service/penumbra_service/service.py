@@ -21,6 +21,7 @@ from penumbra_scene.job import JobRequest, JobState, StopReason
 from penumbra_scene.parse import job_from_json, parse_json
 
 from penumbra_service import results
+from penumbra_service.frame_book import ServiceFrameBook
 from penumbra_service.images.assets import FolderAssets
 from penumbra_service.images.limits import DecodeLimits
 from penumbra_service.running import Control, Halt, Outcome, Runner, Task
@@ -29,6 +30,7 @@ from penumbra_service.status import initial_progress
 from penumbra_service.store.artifacts import Artifacts
 from penumbra_service.store.assets import AssetStore
 from penumbra_service.store.database import Database
+from penumbra_service.store.frames import FrameStore
 from penumbra_service.store.jobs import JobRow, JobStore, NewJob, SqlJobStore
 from penumbra_service.store.keys import KeyStore
 from penumbra_service.watchers import Watchers
@@ -62,12 +64,15 @@ class RenderService:
         self.database.migrate()
         self.keys = KeyStore(self.database)
         self.jobs: JobStore = SqlJobStore(self.database)
+        self.frames = FrameStore(self.database)
         self.artifacts = Artifacts(settings.artifacts)
         self.asset_store = AssetStore(self.database, settings.assets_folder, settings.max_asset_bytes)
         self.assets = FolderAssets(settings.assets_folder, limits=decode_limits(settings))
         self.watchers = Watchers()
         self.started = datetime.now(UTC)
         self._wake = threading.Condition()
+        self._reporting = threading.Lock()
+        """Held while a job's progress is read, changed and written: frames report in threads of their own."""
         self._stopping = False
         self._running: tuple[JobRow, Control] | None = None
         self._thread: threading.Thread | None = None
@@ -256,10 +261,13 @@ class RenderService:
             control,
             report=lambda state, news: self._report(row.id, state, news),
             show=lambda: self._show(row.id),
+            frames=ServiceFrameBook(
+                row.id, folder, self.frames, self.artifacts, show_job=lambda: self._show(row.id)
+            ),
         )
         outcome = self.runner.run(task)
         if outcome.final:
-            self._publish(row.id, results.ALL)
+            self._publish(row.id, (*results.ALL, *results.OF_SEQUENCE))
             self._end(row.id, outcome)
         elif self.jobs.move(row.id, ACTIVE, JobState.QUEUED) is not None:
             self.watchers.ring(row.id)
@@ -276,15 +284,18 @@ class RenderService:
 
     def _report(self, job_id: str, state: JobState, news: Mapping[str, Any]) -> None:
         # A job that was paused or cancelled in the meantime is not touched.
-        row = self.jobs.get(job_id)
-        if self.jobs.move(job_id, ACTIVE, state, progress={**row.progress, **news}) is not None:
+        with self._reporting:
+            row = self.jobs.get(job_id)
+            moved = self.jobs.move(job_id, ACTIVE, state, progress={**row.progress, **news})
+        if moved is not None:
             self.watchers.ring(job_id)
 
     def _show(self, job_id: str) -> None:
-        self._publish(job_id, (results.THUMBNAIL, results.HEATMAP))
-        row = self.jobs.get(job_id)
-        revision = row.progress.get("thumbnail_revision", 0) + 1
-        self.jobs.set(job_id, progress={**row.progress, "thumbnail_revision": revision})
+        self._publish(job_id, (results.THUMBNAIL, results.HEATMAP, results.CONTACT_SHEET))
+        with self._reporting:
+            row = self.jobs.get(job_id)
+            revision = row.progress.get("thumbnail_revision", 0) + 1
+            self.jobs.set(job_id, progress={**row.progress, "thumbnail_revision": revision})
         self.watchers.ring(job_id)
 
     def _publish(self, job_id: str, names: Iterable[str]) -> None:

@@ -4,17 +4,38 @@ from __future__ import annotations
 
 from typing import Any
 
-from penumbra_scene.job import JobLinks, JobRequest, JobStatus, Progress, ProgressEvent
+from penumbra_scene.frames import parse_frames
+from penumbra_scene.job import (
+    FrameLinks,
+    FrameStatus,
+    JobLinks,
+    JobRequest,
+    JobState,
+    JobStatus,
+    Progress,
+    ProgressEvent,
+)
 
+from penumbra_service.results import CONTACT_SHEET, HEATMAP, MOVIE, RECEIPT, RESULT, THUMBNAIL
+from penumbra_service.store.frames import FrameRow, NoSuchFrameError
 from penumbra_service.store.jobs import JobRow
 
-_LIVE = frozenset(Progress.model_fields)
+_LIVE = frozenset({*Progress.model_fields, "frames"})
+_SEQUENCE = "sequence"
+"""Key of a row's progress under which it keeps which frames were asked for: the request may have megabytes."""
+_HIDDEN = frozenset({_SEQUENCE})
 
 
 def initial_progress(request: JobRequest) -> dict[str, Any]:
     """What is known of a job before it starts, in the shape of JobStatus."""
     scene = request.resolved_scene()
+    sequence = request.sequence
+    several = {
+        _SEQUENCE: {"frames": request.frames, "fps": request.fps},
+        "frames": {"total": len(sequence)},
+    }
     return {
+        **(several if sequence else {}),
         "width": scene.film.width,
         "height": scene.film.height,
         "sampler": scene.sampler.type,
@@ -23,25 +44,38 @@ def initial_progress(request: JobRequest) -> dict[str, Any]:
     }
 
 
-def job_links(job_id: str) -> JobLinks:
-    """Paths of all that belongs to a job."""
+def job_links(job_id: str, several: bool) -> JobLinks:
+    """Paths of all that belongs to a job; `several`: of a job with several frames."""
     base = f"/v1/jobs/{job_id}"
     return JobLinks(
         self=base,
-        exr=f"{base}/result.exr",
-        thumbnail=f"{base}/thumbnail.png",
-        heatmap=f"{base}/heatmap.png",
-        receipt=f"{base}/receipt.json",
+        **_picture_links(base),
         events=f"{base}/events",
         page=f"/jobs/{job_id}",
+        frames=f"{base}/frames" if several else None,
+        contact_sheet=f"{base}/{CONTACT_SHEET}" if several else None,
+        movie=f"{base}/{MOVIE}" if several else None,
     )
+
+
+def _picture_links(base: str) -> dict[str, str]:
+    return {
+        "exr": f"{base}/{RESULT}",
+        "thumbnail": f"{base}/{THUMBNAIL}",
+        "heatmap": f"{base}/{HEATMAP}",
+        "receipt": f"{base}/{RECEIPT}",
+    }
 
 
 def job_status(row: JobRow, *, curve: bool = False) -> JobStatus:
     """The job as the API shows it; with `curve`, also how its error fell so far, which lists leave out."""
     return JobStatus.model_validate(
         {
-            **{key: value for key, value in row.progress.items() if curve or key != "curve"},
+            **{
+                key: value
+                for key, value in row.progress.items()
+                if key not in _HIDDEN and (curve or key != "curve")
+            },
             "id": row.id,
             "name": row.name,
             "state": row.state,
@@ -50,7 +84,7 @@ def job_status(row: JobRow, *, curve: bool = False) -> JobStatus:
             "started": row.started,
             "finished": row.finished,
             "stop_reason": row.reason,
-            "links": job_links(row.id),
+            "links": job_links(row.id, _SEQUENCE in row.progress),
         }
     )
 
@@ -67,3 +101,53 @@ def progress_event(row: JobRow) -> ProgressEvent:
             "problem": row.progress.get("problem"),
         }
     )
+
+
+def frame_numbers(row: JobRow) -> tuple[int, ...]:
+    """The frames of a job that has several; empty for any other."""
+    sequence = row.progress.get(_SEQUENCE)
+    return () if sequence is None else parse_frames(sequence["frames"])
+
+
+def frame_status(job: JobRow, number: int, row: FrameRow | None) -> FrameStatus:
+    """A frame as the API shows it; `row` is None where it was not begun. Raises NoSuchFrameError."""
+    if number not in frame_numbers(job):
+        raise no_such_frame(job, number)
+    base = f"/v1/jobs/{job.id}/frames/{number}"
+    known: dict[str, Any] = {}
+    if row is not None:
+        known = {
+            **row.progress,
+            "stop_reason": row.reason,
+            "started": row.started,
+            "finished": row.finished,
+        }
+    return FrameStatus.model_validate(
+        {
+            **known,
+            "number": number,
+            "time": number / job.progress[_SEQUENCE]["fps"],
+            "state": _frame_state(JobState(job.state), row),
+            "links": FrameLinks(self=base, **_picture_links(base)),
+        }
+    )
+
+
+def no_such_frame(job: JobRow, number: int) -> NoSuchFrameError:
+    """The error that says which frames there are."""
+    sequence = job.progress.get(_SEQUENCE)
+    has = "makes a single picture: see its result.exr" if sequence is None else f"has {sequence['frames']}"
+    return NoSuchFrameError(f"job {job.id} has no frame {number}: it {has}")
+
+
+def _frame_state(job: JobState, row: FrameRow | None) -> JobState:
+    """A frame that has not ended is at most as far as its job."""
+    if row is not None and JobState(row.state).ended:
+        return JobState(row.state)
+    if job.ended:
+        return JobState.CANCELLED
+    if job in (JobState.QUEUED, JobState.PAUSED):
+        return job
+    if row is None or row.state == JobState.PAUSED:
+        return JobState.QUEUED
+    return JobState(row.state)

@@ -90,6 +90,17 @@ def test_settings_replace_sections_and_keep_the_rest_of_them(service: Any, tmp_p
     }
 
 
+def test_frames_are_sent_as_they_were_written(service: Any, scene: str) -> None:
+    service.on("POST /v1/jobs", service.answer(service.job(), 202))
+    assert main(["submit", scene, "--frames", "1-24x2", "--fps", "25"]) == Exit.OK
+    assert main(["submit", scene, "--frame", "7"]) == Exit.OK
+    several, one = service.requests("POST /v1/jobs")
+    assert (several.json["frames"], several.json["fps"]) == ("1-24x2", 25)
+    assert one.json["frames"] == "7"
+    with pytest.raises(SystemExit):
+        main(["submit", scene, "--frame", "7", "--frames", "1-2"])
+
+
 def test_without_settings_only_the_scene_is_sent(service: Any, scene: str) -> None:
     service.on("POST /v1/jobs", service.answer(service.job(), 202))
     main(["submit", scene])

@@ -263,6 +263,43 @@ def test_results_are_fetched_under_their_names(service: Any, client: Client, tmp
     )
 
 
+def test_frames_are_fetched_into_folders_of_their_own(service: Any, client: Client, tmp_path: Path) -> None:
+    sheet, movie = "/v1/jobs/J1/contact_sheet.png", "/v1/jobs/J1/preview.mp4"
+    job = service.job("rendering", frames={"total": 3, "done": 2})
+    job["links"] |= {"frames": "/v1/jobs/J1/frames", "contact_sheet": sheet, "movie": movie}
+    service.on("GET /v1/jobs/J1", service.answer(job))
+
+    def frame(number: int, state: str) -> dict[str, Any]:
+        base = f"/v1/jobs/J1/frames/{number}"
+        names = {
+            "exr": "result.exr",
+            "thumbnail": "thumbnail.png",
+            "heatmap": "heatmap.png",
+            "receipt": "receipt.json",
+        }
+        for name in names.values():
+            service.on(f"GET {base}/{name}", (200, {}, f"{number} {name}".encode()))
+        links = {"self": base, **{key: f"{base}/{name}" for key, name in names.items()}}
+        return {"number": number, "time": number / 24, "state": state, "links": links}
+
+    pages = [
+        {"items": [frame(1, "done"), frame(2, "rendering")], "next": 2},
+        {"items": [frame(12345, "done")], "next": None},
+    ]
+    service.on("GET /v1/jobs/J1/frames", *(service.answer(page) for page in pages))
+    service.on(f"GET {sheet}", (200, {}, b"sheet"))
+    paths = client.fetch("J1", tmp_path, ["exr", "receipt"])
+    assert paths == {"frames": tmp_path / "frames", "contact_sheet": tmp_path / "contact_sheet.png"}
+    found = {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()}
+    assert found == {
+        "frames/0001/result.exr": "1 result.exr",
+        "frames/0001/receipt.json": "1 receipt.json",
+        "frames/12345/result.exr": "12345 result.exr",
+        "frames/12345/receipt.json": "12345 receipt.json",
+        "contact_sheet.png": "sheet",
+    }
+
+
 def test_a_broken_download_leaves_the_old_file(service: Any, client: Client, tmp_path: Path) -> None:
     (tmp_path / "result.exr").write_text("old")
     service.on("GET /v1/jobs/J1", service.answer(service.job("done")))

@@ -196,8 +196,8 @@ def test_a_job_blames_its_own_sections_and_the_scene_inside(minimal: dict[str, A
     }
 
 
-@pytest.mark.parametrize("frames", ["1-240", "1-240x2", "1,5,9", "a", "", "-1", 12])
-def test_only_single_frames_are_accepted(minimal: dict[str, Any], frames: Any) -> None:
+@pytest.mark.parametrize("frames", ["a", "", "-1", 12, "5-1", "1-5x0", "1-", "1,,2", "0-10000", "1-5 "])
+def test_frames_that_mean_none_are_refused(minimal: dict[str, Any], frames: Any) -> None:
     with pytest.raises(ProblemError) as caught:
         job_from_json({"scene": minimal, "frames": frames})
     assert [e.pointer for e in caught.value.problem.errors] == ["/frames"]

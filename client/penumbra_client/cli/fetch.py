@@ -12,7 +12,8 @@ from penumbra_client.results import RESULTS
 
 SUMMARY: Final = "download a job's results"
 DESCRIPTION: Final = """\
-Download a job's results into a folder, and print the files' paths.
+Download a job's results into a folder, and print the files' paths. Of a job with several frames those that are
+done come, each into a folder of its own, and the contact sheet.
 
   penumbra fetch 01J8... --out out                    EXR, thumbnail, heat map and receipt
   penumbra fetch 01J8... --out out --only exr         the EXR alone

@@ -55,7 +55,11 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         "samples), or by neighbours' contrast",
     )
     group.add_argument("--size", type=_size, metavar="WxH", help="picture size in pixels, such as 320x240")
-    group.add_argument("--frame", type=_seed, metavar="F", help="render the scene at the time F / fps")
+    which = group.add_mutually_exclusive_group()
+    which.add_argument("--frame", type=_seed, metavar="F", help="render the scene at the time F / fps")
+    which.add_argument(
+        "--frames", metavar="LIST", help="render several frames, such as 1-24, 1-240x2 or 1,5,10-20"
+    )
     group.add_argument("--fps", type=_positive, metavar="R", help="frames a second (default 24)")
     group.add_argument("--name", help="name of the job (default: the scene's)")
 
@@ -65,6 +69,8 @@ def settings(arguments: argparse.Namespace, document: dict[str, Any]) -> dict[st
     found: dict[str, Any] = {"name": arguments.name, "fps": arguments.fps}
     if arguments.frame is not None:
         found["frames"] = str(arguments.frame)
+    elif arguments.frames is not None:
+        found["frames"] = arguments.frames
     stop = {"samples": arguments.samples, "seconds": arguments.seconds, "relative_error": arguments.error}
     if any(value is not None for value in stop.values()):
         confidence = _section(document, "stop").get("confidence")

@@ -32,6 +32,8 @@ def duration(seconds: float | None) -> str:
 
 def _numbers(event: ProgressEvent) -> str:
     words = [f"{event.samples_done:.4g} samples", f"error {percent(event.relative_error)}"]
+    if event.frames is not None:
+        words.insert(0, f"{event.frames.done} of {event.frames.total} frames")
     if event.predicted_seconds is not None and not event.state.ended:
         words.append(f"{duration(event.predicted_seconds)} to go")
     return ", ".join(words)

@@ -22,6 +22,7 @@ receipt in a folder.
   penumbra render scene.json --out out --samples 16 --size 320x240
   penumbra render scene.json --out out --error 1% --seconds 300 as good as 1 %, but in five minutes at most
   penumbra render scene.json --out out --sampler jittered --seed 7
+  penumbra render scene.json --out out --frames 1-24 --fps 24   a folder for each frame, and a contact sheet
 """
 
 
@@ -32,14 +33,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device", metavar="IDS", default="", help="OpenCL devices, commas between them (default: all)"
     )
-    parser.add_argument("--json", action="store_true", help="print the receipt instead of a few words")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print the receipt (of several frames: a list) instead of a few words",
+    )
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Render."""
     from penumbra_client.cli.progress import ProgressView
-    from penumbra_client.cli.report import print_receipt
+    from penumbra_client.cli.report import print_frames, print_receipt
     from penumbra_client.errors import cannot_write
     from penumbra_client.local import find_engine
     from penumbra_client.scenefile import named_files, read_scene, resolve_file
@@ -53,13 +58,15 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         out.mkdir(parents=True, exist_ok=True)
         with ProgressView(arguments.quiet) as view:
-            receipt = engine.render(request, folder, out, arguments.device, view)
+            receipts = engine.render(request, folder, out, arguments.device, view)
     except OSError as error:
         raise cannot_write(out, error) from error
-    if arguments.json:
-        print(receipt.model_dump_json(indent=1))
+    if request.sequence:
+        print_frames(receipts, out, arguments.json)
+    elif arguments.json:
+        print(receipts[0].model_dump_json(indent=1))
     else:
-        print_receipt(receipt, out)
+        print_receipt(receipts[0], out)
     return Exit.OK
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from penumbra_scene.job import Interval, JobStatus
 from penumbra_scene.receipt import Receipt
 
 from penumbra_client.cli.progress import duration, percent
-from penumbra_client.results import RESULTS
+from penumbra_client.results import FRAMES, OF_SEQUENCE, RESULTS
 
 
 def error_text(error: float | None, interval: Interval | None) -> str:
@@ -25,6 +25,8 @@ def print_fetched(job: JobStatus, paths: Mapping[str, Path]) -> None:
     """The achieved error of a service's job, and where its files are."""
     error = error_text(job.relative_error, job.relative_error_interval)
     spent = f"{job.samples_done:.4g} samples a pixel in {duration(job.seconds)}"
+    if job.frames is not None:
+        spent = f"{job.frames.done} of {job.frames.total} frames, {spent}"
     print(f"job {job.id}: {spent}, relative error {error}")
     _print_paths(paths)
 
@@ -39,6 +41,21 @@ def print_receipt(receipt: Receipt, folder: Path) -> None:
     _print_paths({name: folder / file for name, file in RESULTS.items() if (folder / file).exists()})
 
 
+def print_frames(receipts: Sequence[Receipt], folder: Path, as_json: bool) -> None:
+    """The same of a sequence of frames; with `as_json` a list of the receipts."""
+    if as_json:
+        print(f"[{','.join(receipt.model_dump_json() for receipt in receipts)}]")
+        return
+    for receipt in receipts:
+        error = percent(receipt.error.relative_error)
+        spent = duration(receipt.stages.trace.seconds)
+        print(
+            f"frame {receipt.frame}: {receipt.samples:.4g} samples a pixel in {spent}, relative error {error}"
+        )
+    files = {name: folder / file for name, file in OF_SEQUENCE.items() if (folder / file).exists()}
+    _print_paths({"frames": folder / FRAMES, **files})
+
+
 def _print_paths(paths: Mapping[str, Path]) -> None:
     for name, path in paths.items():
-        print(f"{name:10} {path}")
+        print(f"{name:13} {path}")

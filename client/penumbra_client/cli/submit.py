@@ -24,6 +24,7 @@ Meshes and images that the scene names by file are uploaded first; files are rel
   penumbra submit scene.json                             print the job's id and return
   penumbra submit scene.json --wait --out out            wait, then fetch EXR, thumbnail, heat map and receipt
   penumbra submit scene.json --error 2% --seconds 60     as good as 2 % or one minute, whichever comes first
+  penumbra submit scene.json --frames 1-24 --fps 24      a picture for each frame
   job=$(penumbra submit scene.json) && penumbra watch $job
 """
 

@@ -18,6 +18,7 @@ from penumbra_service.service import ConflictError
 from penumbra_service.store.artifacts import NoSuchArtifactError
 from penumbra_service.store.assets import AssetDigestError, AssetTooLargeError
 from penumbra_service.store.content import NoSuchAssetError
+from penumbra_service.store.frames import NoSuchFrameError
 from penumbra_service.store.jobs import IdempotencyConflictError, NoSuchJobError
 
 log = logging.getLogger(__name__)
@@ -61,7 +62,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _http)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(Exception, _internal)
-    for missing in (NoSuchJobError, NoSuchArtifactError, NoSuchAssetError):
+    for missing in (NoSuchJobError, NoSuchFrameError, NoSuchArtifactError, NoSuchAssetError):
         app.add_exception_handler(missing, _missing)
     for conflict in (ConflictError, IdempotencyConflictError):
         app.add_exception_handler(conflict, _conflict)

@@ -12,7 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import MalformedRangeHeader, RangeNotSatisfiable
 
 from penumbra_service.api.jobs import service_of
-from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
+from penumbra_service.results import CONTACT_SHEET, HEATMAP, MOVIE, RECEIPT, RESULT, THUMBNAIL
 from penumbra_service.service import RenderService
 from penumbra_service.store.artifacts import NoSuchArtifactError
 
@@ -23,6 +23,8 @@ _MEDIA: Final = {
     THUMBNAIL: "image/png",
     HEATMAP: "image/png",
     RECEIPT: "application/json",
+    CONTACT_SHEET: "image/png",
+    MOVIE: "video/mp4",
 }
 
 
@@ -76,21 +78,30 @@ async def _artifact(request: Request, job_id: str, name: str) -> Response:
 
 def _answer(request: Request, service: RenderService, job_id: str, name: str) -> Response:
     row = service.jobs.get(job_id)
+    why = f"it is {row.state}"
+    if row.progress.get("frames") and name in (RESULT, RECEIPT):
+        why = f"each of its frames has its own, see /v1/jobs/{job_id}/frames"
+    return answer(request, service, job_id, name, f"job {job_id} has no {name}: {why}")
+
+
+def answer(request: Request, service: RenderService, job_id: str, name: str, missing: str) -> Response:
+    """An artifact, conditionally or in part where that was asked for. Raises NoSuchArtifactError(missing)."""
     try:
         info = service.artifacts.info(job_id, name)
         path = service.artifacts.local_path(job_id, name)
     except NoSuchArtifactError:
-        raise NoSuchArtifactError(f"job {job_id} has no {name}: it is {row.state}") from None
+        raise NoSuchArtifactError(missing) from None
+    media = _MEDIA[name.rpartition("/")[2]]
     etag = f'"{hashlib.sha256(info.etag.encode()).hexdigest()[:32]}"'
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
     if _known(request, etag):
         return Response(status_code=304, headers=headers)
     if path is not None:
-        return RangedFile(path, headers=headers, media_type=_MEDIA[name])
+        return RangedFile(path, headers=headers, media_type=media)
     headers["Content-Length"] = str(info.size)
     if request.method == "HEAD":
-        return Response(headers=headers, media_type=_MEDIA[name])
-    return StreamingResponse(service.artifacts.read(job_id, name), headers=headers, media_type=_MEDIA[name])
+        return Response(headers=headers, media_type=media)
+    return StreamingResponse(service.artifacts.read(job_id, name), headers=headers, media_type=media)
 
 
 class RangedFile(FileResponse):

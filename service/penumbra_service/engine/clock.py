@@ -2,26 +2,50 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 
 class TraceClock:
-    """Runs from the first scene that a device has loaded until the run ends. `before`: seconds of earlier
-    runs."""
+    """Runs while a lease is under way, from the first scene that a device has loaded until the run ends: what other
+    jobs and frames have of the devices is no time of this one. `before`: seconds of earlier runs. Any thread."""
 
     def __init__(self, before: float) -> None:
+        self._lock = threading.Lock()
         self._before = before
         self._since: float | None = None
+        self._started = False
+        self._busy = True
 
     def start(self) -> None:
-        """Does nothing where it runs already."""
-        if self._since is None:
-            self._since = time.monotonic()
+        """A device has loaded the scene. Does nothing where one had before."""
+        with self._lock:
+            self._started = True
+            self._update()
+
+    def busy(self, busy: bool) -> None:
+        """Whether a lease is under way."""
+        with self._lock:
+            self._busy = busy
+            self._update()
 
     def stop(self) -> None:
         """Hold the present value."""
-        self._before, self._since = self.seconds, None
+        with self._lock:
+            self._started = False
+            self._update()
 
     @property
     def seconds(self) -> float:
-        return self._before + (0.0 if self._since is None else time.monotonic() - self._since)
+        with self._lock:
+            return self._before + self._running()
+
+    def _running(self) -> float:
+        return 0.0 if self._since is None else time.monotonic() - self._since
+
+    def _update(self) -> None:
+        runs = self._started and self._busy
+        if runs and self._since is None:
+            self._since = time.monotonic()
+        elif not runs and self._since is not None:
+            self._before, self._since = self._before + self._running(), None

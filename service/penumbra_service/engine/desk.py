@@ -27,15 +27,21 @@ class LeaseDesk:
         job: str,
         spec: RenderSpec,
         hungry: Callable[[], None],
+        busy: Callable[[bool], None] = lambda busy: None,
+        name: str | None = None,
         *,
         strict: bool = False,
         verify: float = 0.0,
     ) -> None:
-        """`hungry` is called (engine's thread) when a device asks in vain, once until work is added. `strict`: all
-        devices must be of the bit class of the first. `verify`: share of leases that two devices do."""
+        """`hungry` is called (engine's thread) when a device asks in vain, once until work is added; `busy` with
+        whether a lease is under way, whenever that may have changed. `name` begins the names of leases: the job's,
+        unless it has several frames. `strict`: all devices must be of the bit class of the first. `verify`: share of
+        leases that two devices do."""
         self._job = job
+        self._name = name or job
         self._spec = spec
         self._hungry = hungry
+        self._busy = busy
         self._lock = threading.Lock()
         self._planner = LeasePlanner(spec.replicates)
         self._numbers: dict[str, int] = {}
@@ -54,15 +60,16 @@ class LeaseDesk:
                 return None
             check = self._checks.take((device.id, device.bit_class))
             if check is not None:
-                lease_id = f"{self._job}/check-{check.number}-{device.id}"
+                lease_id = f"{self._name}/check-{check.number}-{device.id}"
                 self._checking[lease_id] = check.number
                 return Lease(lease_id, self._job, self._spec, check.items, UNKNOWN_DEADLINE)
             planned = self._planner.take(device.id)
             if planned is not None:
                 expected = self._planner.expected_seconds(device.id, planned)
-                lease_id = f"{self._job}/{planned.number}"
+                lease_id = f"{self._name}/{planned.number}"
                 self._numbers[lease_id] = planned.number
                 self._bit_class = self._bit_class or device.bit_class
+                self._busy(True)
                 return Lease(lease_id, self._job, self._spec, planned.items, _deadline(expected))
             if self._asked:
                 return None
@@ -79,7 +86,7 @@ class LeaseDesk:
     def answered(self, result: LeaseResult, device: DeviceDescription) -> bool:
         """A lease is done; False where nobody waits for it any more, or it was a check."""
         with self._lock:
-            number = self._numbers.pop(result.lease, None)
+            number = self._pop(result.lease)
             lease = None if number is None else self._planner.done(number, device.id, result.seconds)
             if lease is None:
                 return False
@@ -103,7 +110,7 @@ class LeaseDesk:
             self._asked = False
             if lease in self._checking:
                 self._checks.lost(self._checking.pop(lease))
-            number = self._numbers.pop(lease, None)
+            number = self._pop(lease)
             lost = None if number is None else self._planner.lost(number, failed_on)
             return (
                 max((self._planner.failed_on(item) for item in lost.items), key=len) if lost else frozenset()
@@ -163,6 +170,11 @@ class LeaseDesk:
         with self._lock:
             self._closed = True
             self._planner.drop()
+
+    def _pop(self, lease: str) -> int | None:
+        number = self._numbers.pop(lease, None)
+        self._busy(bool(self._numbers))
+        return number
 
     @property
     def idle(self) -> bool:

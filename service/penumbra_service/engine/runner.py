@@ -119,6 +119,8 @@ class JobRunner:
             hungry=lambda: self._inbox.put(None),
             strict=task.strict,
             verify=task.verify,
+            busy=lambda busy: self._clock.busy(busy),
+            name=task.name,
         )
         self._bid()
 

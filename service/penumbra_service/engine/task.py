@@ -44,6 +44,8 @@ class RenderTask:
     """What `file` references are relative to; None: they are refused."""
     time: float = 0.0
     """Seconds: when the scene is looked at."""
+    frame: int | None = None
+    """Its number, where the job has several."""
     priority: int = 0
     program: str = "specialised"
     memory_limit: int = MEMORY_LIMIT
@@ -53,6 +55,11 @@ class RenderTask:
     """Only devices of one bit class: that of the first that works on it."""
     verify: float = VERIFY_SHARE
     """Share of leases that two devices do and whose sums are compared, beside each device's first; 0: none."""
+
+    @property
+    def name(self) -> str:
+        """No other run has it at the same time."""
+        return self.job if self.frame is None else f"{self.job}/{self.frame}"
 
 
 @dataclass(frozen=True)

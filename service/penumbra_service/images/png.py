@@ -1,4 +1,5 @@
-"""Writes 8-bit sRGB PNG files, aside first and then renamed, so that a reader never meets half a picture."""
+"""Writes 8-bit sRGB PNG files, aside first and then renamed, so that a reader never meets half a picture; reads
+them back."""
 
 from __future__ import annotations
 
@@ -32,3 +33,17 @@ def write_png(path: Path, pixels: NDArray[np.uint8], texts: Mapping[str, str] | 
         Path(name).replace(path)
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def read_png(path: Path) -> NDArray[np.uint8]:
+    """(height, width, 3) of sRGB code values, from a file that write_png made. Raises OSError."""
+    reader = oiio.ImageInput.open(str(path))
+    if reader is None:
+        raise OSError(f"{path.name}: {oiio.geterror() or 'it cannot be read'}")
+    try:
+        pixels = reader.read_image(0, 0, 0, 3, oiio.UINT8)
+        if pixels is None:
+            raise OSError(f"{path.name}: {reader.geterror() or 'it cannot be read'}")
+        return np.asarray(pixels, np.uint8)
+    finally:
+        reader.close()

@@ -45,6 +45,8 @@ class ReceiptContext:
     write_seconds: float = 0.0
     time: float = 0.0
     """Seconds: when the scene was looked at."""
+    frame: int | None = None
+    """Its number, where the job has several."""
     warnings: tuple[str, ...] = field(default=())
 
 
@@ -63,6 +65,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         program_hash=record.program_hash,
         kernel_hash=record.kernel_hash,
         time=context.time,
+        frame=context.frame,
         film=ReceiptFilm(
             width=scene.film.width,
             height=scene.film.height,

@@ -39,9 +39,9 @@ class Artifacts:
         self._root = str(root).rstrip("/")
 
     def put(self, job_id: str, name: str, source: Path) -> None:
-        """Stores the file `source`, which is left alone, replacing what was there."""
+        """Stores the file `source`, which is left alone, replacing what was there. `name` may have folders."""
         path = self._path(job_id, name)
-        self._files.makedirs(self._root + "/" + job_id, exist_ok=True)
+        self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
         aside = f"{path}.part"
         with source.open("rb") as reader, self._files.open(aside, "wb") as writer:
             shutil.copyfileobj(reader, writer, CHUNK_BYTES)
@@ -78,7 +78,7 @@ class Artifacts:
             self._files.rm(folder, recursive=True)
 
     def _path(self, job_id: str, name: str) -> str:
-        for part in (job_id, name):
+        for part in (job_id, *name.split("/")):
             if _NAME.fullmatch(part) is None:
                 raise NoSuchArtifactError(f"{part!r} is no name of an artifact")
         return f"{self._root}/{job_id}/{name}"

@@ -82,6 +82,18 @@ jobs = Table(
     Index("jobs_by_queue_order", "state", "priority", "id"),
 )
 
+frames = Table(
+    "frames",
+    metadata,
+    Column("job", String(ID_LENGTH), ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("state", String(20), nullable=False),
+    Column("progress", JSON, nullable=False),
+    Column("reason", Text),
+    Column("started", UtcTime(), nullable=False),
+    Column("finished", UtcTime()),
+)
+
 assets = Table(
     "assets",
     metadata,

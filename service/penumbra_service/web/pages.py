@@ -8,19 +8,22 @@ from datetime import UTC, datetime
 from typing import Final
 
 from markupsafe import Markup
-from penumbra_scene.job import ErrorPoint, JobState, JobStatus
+from penumbra_scene.job import ErrorPoint, FrameCounts, FrameStatus, JobState, JobStatus
 from penumbra_scene.receipt import Counts, Receipt
 from pydantic import ValidationError
 
+from penumbra_service.api.frames import frame_statuses
 from penumbra_service.results import RECEIPT
 from penumbra_service.service import RenderService
-from penumbra_service.status import job_status
+from penumbra_service.status import frame_numbers, job_status
 from penumbra_service.store.artifacts import NoSuchArtifactError
 from penumbra_service.store.jobs import JobRow
 from penumbra_service.web import words
 from penumbra_service.web.plot import Plot, error_plot
 
 PAGE_LENGTH: Final = 24
+FRAME_PAGE: Final = 96
+"""Frames on one page of a job."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,12 @@ class JobPageView:
     receipt: Receipt | None
     receipt_rows: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]
     """Headings, each with names and values."""
+    frames: tuple[FrameStatus, ...] = ()
+    """Of a job that has several: those of this page."""
+    more_frames: int | None = None
+    """The number after which the next page begins; None at the end."""
+    first_frames: bool = True
+    """Whether this is the page of the first ones."""
 
 
 def view_of(row: JobRow, *, curve: bool = False) -> JobView:
@@ -72,6 +81,8 @@ def view_of(row: JobRow, *, curve: bool = False) -> JobView:
 
 def _summary(status: JobStatus) -> str:
     parts = []
+    if status.frames is not None:
+        parts.append(f"{status.frames.done} of {status.frames.total} frames")
     if status.relative_error is not None:
         parts.append(f"error {words.percent(status.relative_error)}")
     if status.samples_done:
@@ -85,7 +96,10 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
     samples = words.count(status.samples_done)
     if status.samples_planned is not None:
         samples += f" of {words.count(status.samples_planned)}"
-    facts = [
+    facts = []
+    if status.frames is not None:
+        facts.append(("Frames", _frames(status.frames)))
+    facts += [
         ("Samples a pixel", samples),
         ("Tracing", words.duration(status.seconds)),
         ("Relative error", error_in_words(status)),
@@ -102,6 +116,11 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
     if status.stop_reason is not None and status.stop_reason in words.REASONS:
         facts.append(("Ended because", words.REASONS[status.stop_reason]))
     return tuple(facts)
+
+
+def _frames(counts: FrameCounts) -> str:
+    failed = f", {counts.failed} failed" if counts.failed else ""
+    return f"{counts.done} of {counts.total}{failed}"
 
 
 def _power(theta: float) -> Markup:
@@ -135,8 +154,8 @@ def _stop(status: JobStatus) -> str:
     return " or ".join(rules)
 
 
-def page_of(service: RenderService, row: JobRow) -> JobPageView:
-    """A job's page, with its receipt if there is one."""
+def page_of(service: RenderService, row: JobRow, after: int = -1) -> JobPageView:
+    """A job's page, with its receipt if there is one; of several frames those above `after`."""
     job = view_of(row, curve=True)
     receipt = read_receipt(service, row.id)
     points: Sequence[ErrorPoint] = receipt.error.curve if receipt is not None else job.status.curve
@@ -145,7 +164,11 @@ def page_of(service: RenderService, row: JobRow) -> JobPageView:
         error_plot(points, over, target=job.status.stop.relative_error, theta=theta)
         for over in ("samples", "seconds")
     )
+    numbers = [number for number in frame_numbers(row) if number > after]
     return JobPageView(
+        frames=frame_statuses(service, row, numbers[:FRAME_PAGE]),
+        more_frames=numbers[FRAME_PAGE - 1] if len(numbers) > FRAME_PAGE else None,
+        first_frames=after < 0,
         job=job,
         plots=tuple(plot for plot in plots if plot is not None),
         points=tuple(points),

@@ -141,22 +141,24 @@ def _list(request: Request, state: JobState | None, before: str | None) -> dict[
 
 
 @router.get("/jobs/{job_id}")
-def job(request: Request, job_id: str) -> Response:
-    """A job: its picture, its noise, its error as it falls, its receipt."""
+def job(request: Request, job_id: str, after: Annotated[int, Query(ge=-1, le=9_999_999)] = -1) -> Response:
+    """A job: its picture, its noise, its error as it falls, its receipt; or its frames, those above `after`."""
     row = _job_row(_service(request), job_id)
     if row is None:
         return _no_such_job(request, job_id)
-    return _page(request, "job.html", view=page_of(_service(request), row))
+    return _page(request, "job.html", after=after, view=page_of(_service(request), row, after))
 
 
 @router.get("/jobs/{job_id}/{part}")
-def job_part(request: Request, job_id: str, part: str) -> Response:
+def job_part(
+    request: Request, job_id: str, part: str, after: Annotated[int, Query(ge=-1, le=9_999_999)] = -1
+) -> Response:
     """What changes on a page while a job runs: its `card`, or `live` and `actions` of its own page."""
     row = _job_row(_service(request), job_id)
     if row is None or part not in ("card", "live", "actions"):
         return _no_such_job(request, job_id)
     if part == "live":
-        return _page(request, "_live.html", view=page_of(_service(request), row))
+        return _page(request, "_live.html", view=page_of(_service(request), row, after))
     return _page(request, f"_{part}.html", job=view_of(row))
 
 

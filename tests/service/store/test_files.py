@@ -41,7 +41,21 @@ def test_artifacts_are_stored_replaced_and_removed(artifacts: Artifacts, tmp_pat
     assert not artifacts.exists("job", "result.exr")
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "/etc/passwd", ".hidden", "a\0b", "x" * 101])
+def test_artifacts_may_lie_in_folders_of_their_job(artifacts: Artifacts, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    for frame in ("0001", "0002"):
+        source.write_text(frame)
+        artifacts.put("job", f"frames/{frame}/result.exr", source)
+    assert b"".join(artifacts.read("job", "frames/0001/result.exr")) == b"0001"
+    with pytest.raises(NoSuchArtifactError):
+        artifacts.put("a/b", "result.exr", source)
+    artifacts.remove("job")
+    assert not artifacts.exists("job", "frames/0002/result.exr")
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "../x", "a//b", "a/../b", "a/", "/etc/passwd", ".hidden", "a\0b", "x" * 101]
+)
 def test_names_cannot_leave_the_folder(artifacts: Artifacts, name: str, tmp_path: Path) -> None:
     (tmp_path / "source").write_bytes(b"x")
     for job_id, artifact in (("job", name), (name, "result.exr")):
