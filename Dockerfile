@@ -1,4 +1,4 @@
-# The service for one machine: `docker compose up` (docs/containers.md). CPUs by PoCL; nothing runs as root.
+# Service, scheduler and workers in one image: `docker compose up` (docs/containers.md). CPUs by PoCL; nothing runs as root.
 
 FROM debian:bookworm-slim AS build
 RUN apt-get update && apt-get install -y --no-install-recommends python3 python3-venv && rm -rf /var/lib/apt/lists/*
@@ -20,7 +20,7 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends python3 binutils libc6-dev libgcc-12-dev \
     && rm -rf /var/lib/apt/lists/* \
     && useradd --uid 10001 --home-dir /data --shell /usr/sbin/nologin penumbra \
-    && install -d -o penumbra -g penumbra /data
+    && install -d -o penumbra -g penumbra /data /artifacts
 COPY --from=build /penumbra /penumbra
 ENV PATH=/penumbra/bin:$PATH \
     HOME=/data \

@@ -13,10 +13,10 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights clean distclean
+.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean
 
 help: ## list the targets
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
 setup: ## make the virtual environment (every other target does so by itself)
 	@./scripts/bootstrap.sh
@@ -58,6 +58,9 @@ pictures: setup ## render every example into docs/pictures
 
 lights: setup ## measure how lights are chosen, and write docs/lights.md
 	@$(BIN)/python bench/lights.py $(ARGS)
+
+compose-secrets: setup ## make keys and certificates for docker-compose.yml, in secrets/
+	@./scripts/compose-secrets.sh
 
 clean: ## remove what the targets left, but not the environment or the service's data
 	@rm -rf out dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -36,6 +36,8 @@ def create_app(settings: Settings, runner: Runner | None = None) -> FastAPI:
     Raises PublicWithoutKeyError. `runner` renders the jobs; by default the local devices do.
     """
     service = RenderService(settings, runner or _local_runner(settings))
+    if settings.initial_key:
+        service.keys.admit("initial", settings.initial_key)
     if settings.public and not service.keys.any_active():
         service.database.close()
         raise PublicWithoutKeyError(

@@ -45,6 +45,12 @@ def _configure_worker(parser: argparse.ArgumentParser) -> None:
         help="port of the first device's process, the next for the next (default: free)",
     )
     parser.add_argument(
+        "--status-port",
+        type=int,
+        default=0,
+        help="port of /health and metrics of the first device's process, on loopback; the next for the next",
+    )
+    parser.add_argument(
         "--artifacts",
         metavar="URL",
         default=os.environ.get("PENUMBRA_ARTIFACTS_URL"),
@@ -97,6 +103,7 @@ def _worker(arguments: argparse.Namespace) -> int:
         arguments.name,
         arguments.host,
         arguments.port,
+        arguments.status_port,
         contents_url(arguments.artifacts) if arguments.artifacts else None,
         cache_bytes=int(arguments.cache_gigabytes * 1e9),
         **more,

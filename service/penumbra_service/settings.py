@@ -1,5 +1,5 @@
-"""The service's settings: environment variables PENUMBRA_*, then whatever the caller gives (command-line
-flags).
+"""The service's settings: environment variables PENUMBRA_* (or the files that PENUMBRA_*_FILE name), then whatever the
+caller gives (command-line flags).
 
 docs/configuration.md documents every one of them.
 """
@@ -17,6 +17,12 @@ from typing import Any, Final
 from penumbra_scene import limits
 
 ENVIRONMENT_PREFIX: Final = "PENUMBRA_"
+
+
+MIN_KEY_LENGTH: Final = 32
+"""Characters of an API key that somebody else has made."""
+FILE_SUFFIX: Final = "_FILE"
+"""PENUMBRA_X_FILE names a file that holds the setting X: for secrets."""
 
 
 class SettingsError(ValueError):
@@ -40,6 +46,8 @@ class Settings:
     """Folder of the database, assets, working files and results."""
     database_url: str = ""
     """SQLAlchemy URL; empty: SQLite in the data folder."""
+    initial_key: str = ""
+    """An API key that is let in from the start, beside those that `penumbra keys` makes: for containers."""
     artifacts_url: str = ""
     """Where results go, as fsspec takes it; empty: the data folder."""
     hosts: tuple[str, ...] = ()
@@ -78,6 +86,12 @@ class Settings:
             self.shutdown_seconds >= 0, "shutdown_seconds", self.shutdown_seconds, "a number of at least 0"
         )
         _require(0 <= self.port <= 65535, "port", self.port, "0 to 65535")
+        _require(
+            not self.initial_key or len(self.initial_key) >= MIN_KEY_LENGTH,
+            "initial_key",
+            "fewer characters",
+            f"at least {MIN_KEY_LENGTH} characters, or none",
+        )
         levels = ("debug", "info", "warning", "error")
         _require(self.log_level in levels, "log_level", self.log_level, ", ".join(levels))
 
@@ -139,7 +153,7 @@ def load_settings(
     environment = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     for setting in fields(Settings):
-        text = environment.get(ENVIRONMENT_PREFIX + setting.name.upper())
+        text = _given(environment, ENVIRONMENT_PREFIX + setting.name.upper())
         if text is not None:
             values[setting.name] = _converted(setting.name, str(setting.type), text)
     values |= {name: value for name, value in (given or {}).items() if value is not None}
@@ -147,6 +161,19 @@ def load_settings(
     if unknown:
         raise SettingsError(f"there is no setting {', '.join(sorted(unknown))}")
     return Settings(**values)
+
+
+def _given(environment: Mapping[str, str], variable: str) -> str | None:
+    """A variable's text, from the file that its twin names where it is not set itself. Raises SettingsError."""
+    file = environment.get(variable + FILE_SUFFIX)
+    if variable in environment or not file:
+        return environment.get(variable)
+    try:
+        return Path(file).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(
+            f"{variable}{FILE_SUFFIX}: given {file!r}, which cannot be read ({error}); accepted: a text file"
+        ) from error
 
 
 def _converted(name: str, kind: str, text: str) -> Any:

@@ -56,3 +56,22 @@ def test_places_follow_the_data_folder(tmp_path: Path) -> None:
     assert settings.artifacts == f"{tmp_path}/results"
     assert Settings(database_url="sqlite:///x").database == "sqlite:///x"
     assert Settings(artifacts_url="memory://x").artifacts == "memory://x"
+
+
+def test_a_setting_may_lie_in_a_file(tmp_path):  # type: ignore[no-untyped-def]
+    file = tmp_path / "url"
+    file.write_text("sqlite:///somewhere\n")
+    name = "PENUMBRA_DATABASE_URL"
+    assert load_settings({}, {f"{name}_FILE": str(file)}).database_url == "sqlite:///somewhere"
+    assert (
+        load_settings({}, {name: "sqlite:///here", f"{name}_FILE": str(file)}).database_url
+        == "sqlite:///here"
+    )
+    with pytest.raises(SettingsError, match=f"{name}_FILE: given"):
+        load_settings({}, {f"{name}_FILE": str(tmp_path / "none")})
+
+
+def test_an_initial_key_that_can_be_guessed_is_refused_and_not_repeated():
+    with pytest.raises(SettingsError, match="at least 32 characters") as caught:
+        load_settings({"initial_key": "secret"}, {})
+    assert "secret" not in str(caught.value)

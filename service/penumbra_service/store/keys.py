@@ -76,6 +76,19 @@ class KeyStore:
             )
         return token, key
 
+    def admit(self, name: str, token: str) -> None:
+        """Let in a key that was made elsewhere; nothing happens where it is known, revoked or not."""
+        known = select(api_keys.c.id).where(api_keys.c.digest == _digest(token))
+        with self._database.write() as connection:
+            if connection.execute(known).first() is None:
+                row = {
+                    "id": new_id(),
+                    "name": name,
+                    "hint": token[:HINT_LENGTH],
+                    "created": datetime.now(UTC),
+                }
+                connection.execute(insert(api_keys).values(**row, digest=_digest(token)))
+
     def check(self, token: str) -> ApiKey | None:
         """The key that this text is, if it exists and is not revoked. Digests are compared: timing tells
         nothing."""

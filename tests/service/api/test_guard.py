@@ -130,3 +130,16 @@ def test_pages_of_other_sites_change_nothing(client: TestClient, scene: dict[str
 )
 def test_loopback_is_told_from_public(host: str, local: bool) -> None:
     assert is_loopback(host) is local
+
+
+def test_an_initial_key_opens_a_public_service_and_can_be_revoked(tmp_path, runner):  # type: ignore[no-untyped-def]
+    key = "pnb_" + "k" * 40
+    settings = Settings(host="0.0.0.0", data=tmp_path, initial_key=key)
+    headers = {"Authorization": f"Bearer {key}"}
+    for expected in (200, 401):
+        app = create_app(settings, runner)
+        with TestClient(app, base_url=LOCAL) as client:
+            assert client.get("/v1/jobs").status_code == 401
+            assert client.get("/v1/jobs", headers=headers).status_code == expected
+            app.state.service.keys.revoke("initial")
+            app.state.service.keys.create(f"other-{expected}")

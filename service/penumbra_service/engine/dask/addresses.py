@@ -39,19 +39,17 @@ def check_scheduler(url: str, tls: Path | None) -> str:
     return url
 
 
-def security(tls: Path | None, role: Role) -> Security | None:
-    """TLS with the certificate of a role from a folder of `penumbra certs`; both sides show one. None without
+def security(tls: Path | None, *roles: Role) -> Security | None:
+    """TLS with the certificates of some roles from a folder of `penumbra certs`; both sides show one. None without
     TLS. Raises SettingsError where a file is missing."""
     if tls is None:
         return None
-    files = {"ca": tls / "ca.pem", "cert": tls / f"{role}.pem", "key": tls / f"{role}-key.pem"}
+    files = {"tls_ca_file": tls / "ca.pem"}
+    for role in roles:
+        files |= {f"tls_{role}_cert": tls / f"{role}.pem", f"tls_{role}_key": tls / f"{role}-key.pem"}
     missing = [path.name for path in files.values() if not path.is_file()]
     if missing:
         raise SettingsError(
             f"tls: given {tls}, which lacks {', '.join(missing)}; accepted: a folder that `penumbra certs` made"
         )
-    return Security(
-        require_encryption=True,
-        tls_ca_file=str(files["ca"]),
-        **{f"tls_{role}_cert": str(files["cert"]), f"tls_{role}_key": str(files["key"])},
-    )
+    return Security(require_encryption=True, **{name: str(path) for name, path in files.items()})

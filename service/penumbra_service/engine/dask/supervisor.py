@@ -47,6 +47,8 @@ class WorkerOptions:
     host: str | None = None
     """Address that other machines reach this one by; None: found out."""
     port: int = 0
+    status_port: int = 0
+    """Of /health and metrics on loopback, for the first device; the next for the next. 0: any."""
     contents: str | None = None
     cache: Path = field(default_factory=lambda: cache.folder() / "farm")
     cache_bytes: int = 20 << 30
@@ -93,8 +95,9 @@ def _command(options: WorkerOptions, device: str, name: str, index: int) -> list
     words = [*WORKER, "--scheduler", options.scheduler, "--device", device, "--name", name]
     words += ["--cache", str(options.cache), "--cache-bytes", str(options.cache_bytes)]
     words += ["--parent", str(os.getpid())]
-    if options.port:
-        words += ["--port", str(options.port + index)]
+    for flag, port in (("--port", options.port), ("--status-port", options.status_port)):
+        if port:
+            words += [flag, str(port + index)]
     for flag, value in (("--tls", options.tls), ("--host", options.host), ("--contents", options.contents)):
         if value is not None:
             words += [flag, str(value)]

@@ -100,7 +100,7 @@ async def _serve(scheduler: str, options: argparse.Namespace, leave: asyncio.Eve
             host="127.0.0.1" if plain else options.host,
             port=options.port,
             security=security(None if plain else options.tls, "worker"),
-            dashboard_address="127.0.0.1:0",  # its pages ask nobody who he is
+            dashboard_address=f"127.0.0.1:{options.status_port}",  # it asks nobody who he is
             local_directory=folder,
             memory_limit=0,  # answers are fetched at once: nothing is to be spilled, no device to be paused
             death_timeout=CONNECT_SECONDS,
@@ -123,6 +123,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--name", required=True)
     parser.add_argument("--host")
     parser.add_argument("--port", default=0)
+    parser.add_argument("--status-port", type=int, default=0)
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--cache-bytes", type=int, required=True)
     parser.add_argument("--contents")
