@@ -22,6 +22,7 @@ typedef struct {
   uint kind;         // PRIMITIVE_*, or NONE for a miss
   uint primitive;    // index within its kind
   uint instance;     // or NONE
+  uint lane;         // triangles: 8 * packet + lane, where the tree has their vertices (those of the first keyframe)
 } Hit;
 
 // A point on a surface, ready for shading.

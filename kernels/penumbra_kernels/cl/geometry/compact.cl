@@ -103,9 +103,17 @@ static inline OneTriangle load_triangle(const __global CompactTriangle *from, co
 
 static inline float2 sheared(const WideRay *w, const float3 v) { return (float2)(v.x - w->sx * v.z, v.y - w->sy * v.z); }
 
+// The three vertices of a lane.
+static inline void lane_vertices(const SceneData *scene, const uint lane, float3 v[3]) {
+  const __global CompactTriangle *from = scene->packets + lane;
+  v[0] = load3(from->v0);
+  v[1] = load3(from->v1);
+  v[2] = load3(from->v2);
+}
+
 // Offers the triangle if it is hit; watertight as triangle.cl is, operation by operation.
-static inline bool hit_triangle(const OneTriangle *one, const uint primitive, const WideRay *w, const uint instance,
-                                const bool any, Hit *best) {
+static inline bool hit_triangle(const OneTriangle *one, const SceneData *scene, const uint lane, const WideRay *w,
+                                const uint instance, const bool any, Hit *best) {
   const float3 ra = one->a - w->ok, rb = one->b - w->ok, rc = one->c - w->ok;
   const float2 a = sheared(w, ra), b = sheared(w, rb), c = sheared(w, rc);
   const float u = difference_of_products(c.x, b.y, c.y, b.x);
@@ -118,21 +126,21 @@ static inline bool hit_triangle(const OneTriangle *one, const uint primitive, co
   const float b0 = u * inverse, b1 = v * inverse, b2 = q * inverse;
   const float t = (b0 * ra.z + b1 * rb.z + b2 * rc.z) * w->sz;
   if (!(t > 0.0f && (any ? t < best->t : t <= best->t))) return false;
-  if (!any) hit_offer(t, b1, b2, PRIMITIVE_TRIANGLE, primitive, instance, best);
+  if (!any && hit_offer(t, b1, b2, PRIMITIVE_TRIANGLE, scene->packets[lane].primitive, instance, best)) best->lane = lane;
   return true;
 }
 
 // A leaf's packets, one triangle after the other.
 static inline bool hit_packets(const SceneData *scene, const uint word, const WideRay *w, const uint instance,
                                const bool any, Hit *best) {
-  const __global CompactTriangle *lanes = scene->packets + 8u * (word & LEAF_PACKET_MASK);
+  uint first = 8u * (word & LEAF_PACKET_MASK);
   bool found = false;
-  for (uint n = (word >> LEAF_COUNT_SHIFT) & 3u; n; n--, lanes += 8) {
-    for (uint lane = 0u; lane < 8u; lane++) {
-      const OneTriangle one = load_triangle(lanes + lane, w);
-      found |= hit_triangle(&one, lanes[lane].primitive, w, instance, any, best);
+  for (uint n = (word >> LEAF_COUNT_SHIFT) & 3u; n; n--, first += 8u) {
+    for (uint lane = first; lane < first + 8u; lane++) {
+      const OneTriangle one = load_triangle(scene->packets + lane, w);
+      found |= hit_triangle(&one, scene, lane, w, instance, any, best);
       if (any && found) return true;
-      if (lanes[lane].last) break;
+      if (scene->packets[lane].last) break;
     }
   }
   return found;
@@ -141,7 +149,8 @@ static inline bool hit_packets(const SceneData *scene, const uint word, const Wi
 #if PENUMBRA_DEFORMATION
 static inline bool hit_deforming(const SceneData *scene, const uint word, const WideRay *w, const float time,
                                  const uint instance, const bool any, Hit *best) {
-  const __global CompactTriangle *lanes = scene->packets + 8u * (word & LEAF_PACKET_MASK);
+  const uint first = 8u * (word & LEAF_PACKET_MASK);
+  const __global CompactTriangle *lanes = scene->packets + first;
   const __global ShapeData *shape = scene->shapes + scene->triangles[lanes->primitive].shape;
   const DeformTime at = deform_time(scene, shape, time);
   bool found = false;
@@ -152,7 +161,7 @@ static inline bool hit_deforming(const SceneData *scene, const uint word, const 
     one.a += at.fraction * (next.a - one.a);
     one.b += at.fraction * (next.b - one.b);
     one.c += at.fraction * (next.c - one.c);
-    found |= hit_triangle(&one, lanes[lane].primitive, w, instance, any, best);
+    found |= hit_triangle(&one, scene, first + lane, w, instance, any, best);
     if (any && found) return true;
     if (lanes[lane].last) break;
   }

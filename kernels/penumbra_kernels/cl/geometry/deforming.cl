@@ -4,7 +4,8 @@
 
 static inline bool hit_deforming(const SceneData *scene, const uint word, const WideRay *w, const float time,
                                  const uint instance, const bool any, Hit *best) {
-  const __global Packet8 *packet = scene->packets + (word & LEAF_PACKET_MASK);
+  const uint first = word & LEAF_PACKET_MASK;
+  const __global Packet8 *packet = scene->packets + first;
   const __global ShapeData *shape = scene->shapes + scene->triangles[packet->primitive[0]].shape;
   const DeformTime at = deform_time(scene, shape, time);
   EightTriangles a, b;
@@ -20,5 +21,5 @@ static inline bool hit_deforming(const SceneData *scene, const uint word, const 
   a.cx += at.fraction * (b.cx - a.cx);
   a.cy += at.fraction * (b.cy - a.cy);
   a.cz += at.fraction * (b.cz - a.cz);
-  return hit_triangles(&a, packet->primitive, w, instance, any, best);
+  return hit_triangles(&a, scene, first, w, instance, any, best);
 }

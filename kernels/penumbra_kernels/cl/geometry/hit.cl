@@ -10,13 +10,15 @@ static inline bool hit_beats(const float t, const uint kind, const uint primitiv
   return instance < best->instance;
 }
 
-static inline void hit_offer(const float t, const float u, const float v, const uint kind, const uint primitive,
+// True where it is the best one now.
+static inline bool hit_offer(const float t, const float u, const float v, const uint kind, const uint primitive,
                              const uint instance, Hit *best) {
-  if (!hit_beats(t, kind, primitive, instance, best)) return;
+  if (!hit_beats(t, kind, primitive, instance, best)) return false;
   best->t = t;
   best->u = u;
   best->v = v;
   best->kind = kind;
   best->primitive = primitive;
   best->instance = instance;
+  return true;
 }

@@ -9,7 +9,7 @@ static inline Hit no_hit(const float tmax) {
   Hit hit;
   hit.t = tmax;
   hit.u = hit.v = 0.0f;
-  hit.kind = hit.primitive = hit.instance = NONE;
+  hit.kind = hit.primitive = hit.instance = hit.lane = NONE;
   return hit;
 }
 

@@ -19,13 +19,16 @@ static inline uint meet_boxes(const __global Node8 *node, const WideRay *w, cons
 }
 
 // Asks for the child's memory, while its siblings are still sorted: large scenes wait for that more than for anything else.
+// Leaves without triangles ask for some packet: a load that is not there costs nothing.
 static inline void prefetch_child(const SceneData *scene, const uint word) {
-  if (word & LEAF_FLAG) return;  // leaves are not worth it
-  const __global char *at = (const __global char *)(scene->nodes + word);
+  const bool leaf = (word & LEAF_FLAG) != 0u;
+  const __global char *at = leaf ? (const __global char *)(scene->packets + (word & LEAF_PACKET_MASK))
+                                 : (const __global char *)(scene->nodes + word);
   PREFETCH(at);
   PREFETCH(at + 64);
   PREFETCH(at + 128);
   PREFETCH(at + 192);
+  if (leaf) PREFETCH(at + 256);
 }
 
 // The nearest child that is met, or NO_CHILD; the others wait on the stack, the nearer the later.

@@ -1,16 +1,22 @@
 // A hit on a triangle as a point on a surface, in the frame of its tree. Metres.
 #include "geometry/surface_local.cl"
+#if PENUMBRA_COMPACT_TREE
+#include "geometry/compact.cl"
+#else
+#include "geometry/triangle.cl"
+#endif
 #if PENUMBRA_DEFORMATION
 #include "geometry/deform_time.cl"
-#endif
 
 static inline float3 vertex_at(const __global float *positions, const uint index) {
   return load3(positions + 3ul * index);
 }
+#endif
 
-static inline void triangle_vertices(const SceneData *scene, const __global TriangleData *triangle,
+// Those that stand still are read where the traversal has just read them: large scenes wait for memory.
+static inline void triangle_vertices(const SceneData *scene, const Hit *hit, const __global TriangleData *triangle,
                                      const __global ShapeData *shape, const float time, float3 v[3]) {
-  for (int i = 0; i < 3; i++) v[i] = vertex_at(scene->positions, triangle->vertex[i]);
+  lane_vertices(scene, hit->lane, v);
 #if PENUMBRA_DEFORMATION
   if (shape->deform_count) {
     const DeformTime at = deform_time(scene, shape, time);
@@ -105,9 +111,7 @@ static inline void triangle_surface(const SceneData *scene, const Hit *hit, cons
   const __global ShapeData *shape = scene->shapes + triangle->shape;
   const float3 weight = (float3)(1.0f - hit->u - hit->v, hit->u, hit->v);
   float3 v[3];
-  float2 uv[3];
-  triangle_vertices(scene, triangle, shape, time, v);
-  corner_uvs(scene, hit->primitive, triangle, shape, uv);
+  triangle_vertices(scene, hit, triangle, shape, time, v);
   s->shape = triangle->shape;
   s->p = interpolate(v[0], v[1], v[2], weight);
   // Interpolation errs by gamma(7) of its terms (pbrt-v4, 6.8.4), pulled_inside by 3 more. The test of a ray that starts here errs in its distance
@@ -121,7 +125,12 @@ static inline void triangle_surface(const SceneData *scene, const Hit *hit, cons
   const float3 n = winding_normal(v);
   s->ng = shape->flags & SHAPE_FLIP ? -n : n;
   s->ns = vertex_normal(scene, triangle, shape, time, weight);
-  s->uv = uv[0] * weight.x + uv[1] * weight.y + uv[2] * weight.z;
+  s->uv = (float2)(0.0f);
   s->tangent = (float3)(0.0f);
-  if (tangent || shape_has_grain(scene, s->shape)) s->tangent = triangle_tangent(v, uv);
+  const bool grain = tangent || shape_has_grain(scene, s->shape);
+  if (!grain && !shape_has_texture(scene, s->shape)) return;
+  float2 uv[3];
+  corner_uvs(scene, hit->primitive, triangle, shape, uv);
+  s->uv = uv[0] * weight.x + uv[1] * weight.y + uv[2] * weight.z;
+  if (grain) s->tangent = triangle_tangent(v, uv);
 }

@@ -22,8 +22,15 @@ static inline void load_triangles(const __global Packet8 *packet, const WideRay 
   e->cz = p[6u + w->kz];
 }
 
+// The three vertices of a lane.
+static inline void lane_vertices(const SceneData *scene, const uint lane, float3 v[3]) {
+  const __global float *p = (const __global float *)(scene->packets + (lane >> 3)) + (lane & 7u);
+  for (int i = 0; i < 3; i++, p += 24) v[i] = (float3)(p[0], p[8], p[16]);
+}
+
 // Offers the triangles that are hit; true where there is one (the caller of an any-hit query stops there).
-static inline bool hit_triangles(const EightTriangles *e, const __global uint *primitive, const WideRay *w,
+// packet: its index.
+static inline bool hit_triangles(const EightTriangles *e, const SceneData *scene, const uint packet, const WideRay *w,
                                  const uint instance, const bool any, Hit *best) {
   const float8 az = e->az - w->okz, bz = e->bz - w->okz, cz = e->cz - w->okz;
   const float8 ax = (e->ax - w->okx) - w->sx * az, ay = (e->ay - w->oky) - w->sy * az;
@@ -43,11 +50,14 @@ static inline bool hit_triangles(const EightTriangles *e, const __global uint *p
   if (!mask) return false;
   if (any) return true;
   const float8 ts[1] = {t}, us[1] = {b1}, vs[1] = {b2};
+  const __global uint *primitive = scene->packets[packet].primitive;
   do {
     const uint i = CTZ(mask);
     mask &= mask - 1u;
-    hit_offer(((const float *)ts)[i], ((const float *)us)[i], ((const float *)vs)[i], PRIMITIVE_TRIANGLE, primitive[i],
-              instance, best);
+    if (hit_offer(((const float *)ts)[i], ((const float *)us)[i], ((const float *)vs)[i], PRIMITIVE_TRIANGLE, primitive[i],
+                  instance, best)) {
+      best->lane = 8u * packet + i;
+    }
   } while (mask);
   return true;
 }
@@ -55,12 +65,12 @@ static inline bool hit_triangles(const EightTriangles *e, const __global uint *p
 // A leaf's packets, one after the other.
 static inline bool hit_packets(const SceneData *scene, const uint word, const WideRay *w, const uint instance,
                                const bool any, Hit *best) {
-  const __global Packet8 *packet = scene->packets + (word & LEAF_PACKET_MASK);
+  uint packet = word & LEAF_PACKET_MASK;
   bool found = false;
   for (uint n = (word >> LEAF_COUNT_SHIFT) & 3u; n; n--, packet++) {
     EightTriangles e;
-    load_triangles(packet, w, &e);
-    found |= hit_triangles(&e, packet->primitive, w, instance, any, best);
+    load_triangles(scene->packets + packet, w, &e);
+    found |= hit_triangles(&e, scene, packet, w, instance, any, best);
     if (any && found) return true;
   }
   return found;
