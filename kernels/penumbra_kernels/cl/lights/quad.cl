@@ -15,9 +15,6 @@
 #define QUAD_BY_RECTANGLE 1u
 #define QUAD_BY_FAN 2u
 
-// A flat light of half diameter s at distance d looks small where s^2 < d^2 / 128: over it cos / r^2 = h / r^3 then varies
-// by less than ((1 + x) / (1 - x))^3 = 1.7, x = sqrt(1 / 128), from end to end, even seen edge-on.
-#define FLAT_FAR 0.0078125f
 // Rounding of the angles in it, some 2^-21, is then at most 2^-15 of the solid angle: a shift of a sample by 3e-5 of it.
 #define RECTANGLE_SOLID_ANGLE 0.03125f
 // |cos| between edges that counts as a right angle: the rounding of two rotated edges.
