@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 KIND_CPU: Final = "cpu"
 KIND_GPU: Final = "gpu"
 
+SHARED_BYTES: Final = 4 * 1024 * 1024
+"""Buffers of that size lie in numpy's memory on CPUs, where an OpenCL driver would copy them into its own: numpy asks the
+system for huge pages from that size on, without which a large tree's nodes are hardly ever in the TLB."""
+ALIGNMENT: Final = 64
+"""Of shared memory: kernels load whole vectors from it."""
+
 
 class DeviceError(RuntimeError):
     """A device is missing, or would not do what was asked; the message says which and why."""
@@ -207,9 +213,11 @@ class Device:
         data = np.ascontiguousarray(array).view(np.uint8).reshape(-1)
         if data.size < 16:
             data = np.concatenate([data, np.zeros(16 - data.size, np.uint8)])
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        shared = self.info.kind == KIND_CPU and data.size >= SHARED_BYTES
+        origin = cl.mem_flags.USE_HOST_PTR if shared else cl.mem_flags.COPY_HOST_PTR
+        flags = cl.mem_flags.READ_ONLY | origin
         with self._driver(f"copying {data.size} bytes to the device"):
-            return cl.Buffer(self.context, flags, hostbuf=data)
+            return cl.Buffer(self.context, flags, hostbuf=_aligned(data) if shared else data)
 
     def allocate(self, size: int) -> cl.Buffer:
         """A read-write buffer of `size` bytes, its content undefined."""
@@ -254,6 +262,17 @@ def _options(device: cl.Device) -> tuple[str, ...]:
     exact = device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
     asked = exact and device.type & cl.device_type.GPU
     return (*BUILD_OPTIONS, "-cl-fp32-correctly-rounded-divide-sqrt") if asked else BUILD_OPTIONS
+
+
+def _aligned(data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The bytes at an address that is a multiple of ALIGNMENT; themselves where they are."""
+    if data.ctypes.data % ALIGNMENT == 0:
+        return data
+    room = np.empty(data.size + ALIGNMENT, np.uint8)
+    first = -room.ctypes.data % ALIGNMENT
+    out = room[first : first + data.size]
+    out[:] = data
+    return out
 
 
 def _portable() -> bool:
