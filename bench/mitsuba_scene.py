@@ -2,7 +2,8 @@
 
 Covers what both renderers define alike: perspective cameras, box filters, diffuse, mirrors, conductors without Fresnel
 and without energy compensation, smooth and rough dielectrics, thin panes, quads, discs, spheres, inline meshes, area,
-point and directional lights, constant environments. Anything else raises UnsupportedError with its name.
+point and directional lights, constant environments, checkers, meshes of assets. Anything else raises UnsupportedError
+with its name.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from penumbra_kernels.assets import Assets, NoAssets
 from penumbra_kernels.compile.transforms import matrix_at
 from penumbra_scene.materials import TextureRef
 from penumbra_scene.scene import Scene
@@ -26,14 +28,32 @@ def _transform(matrix: np.ndarray) -> Any:
 
 def _rgb(value: Any) -> dict[str, Any]:
     if isinstance(value, TextureRef):
-        raise UnsupportedError("textures")
+        raise UnsupportedError("textures other than a diffuse surface's")
     return {"type": "rgb", "value": list(value)}
 
 
-def _bsdf(material: Any) -> dict[str, Any]:
+def _reflectance(value: Any, textures: Any) -> dict[str, Any]:
+    if not isinstance(value, TextureRef):
+        return _rgb(value)
+    texture = textures[value.texture]
+    if texture.type != "checker" or any(texture.uv.offset):
+        raise UnsupportedError(f"texture {texture.type} as given")
+    matrix = np.diag([*texture.uv.scale, 1.0, 1.0])
+    return {
+        "type": "checkerboard",
+        "color0": _rgb(texture.color0),
+        "color1": _rgb(texture.color1),
+        "to_uv": _transform(matrix),
+    }
+
+
+def _bsdf(material: Any, textures: Any) -> dict[str, Any]:
     kind = material.type
     if kind == "diffuse":
-        return {"type": "twosided", "b": {"type": "diffuse", "reflectance": _rgb(material.base_color)}}
+        return {
+            "type": "twosided",
+            "b": {"type": "diffuse", "reflectance": _reflectance(material.base_color, textures)},
+        }
     if kind == "mirror":
         return {
             "type": "twosided",
@@ -93,28 +113,33 @@ def _disc_matrix(shape: Any) -> np.ndarray:
     return matrix
 
 
-def _mesh(shape: Any, world: np.ndarray, properties: dict[str, Any]) -> Any:
-    if shape.source is not None or shape.normals is not None or shape.smooth:
-        raise UnsupportedError("meshes other than flat inline ones")
+def _mesh(shape: Any, world: np.ndarray, properties: dict[str, Any], assets: Assets) -> Any:
+    data = assets.mesh(shape.source) if shape.source is not None else shape
+    if data.normals is not None or shape.smooth:
+        raise UnsupportedError("meshes other than flat ones")
     props = mi.Properties()
     for key, value in properties.items():
         props[key] = mi.load_dict(value)
-    mesh = mi.Mesh("mesh", len(shape.positions), len(shape.indices), props=props)
-    points = np.asarray(shape.positions, np.float64) @ world[:3, :3].T + world[:3, 3]
+    mesh = mi.Mesh("mesh", len(data.positions), len(data.indices), props=props)
+    points = np.asarray(data.positions, np.float64) @ world[:3, :3].T + world[:3, 3]
     params = mi.traverse(mesh)
     params["vertex_positions"] = points.astype(np.float32).ravel()
-    params["faces"] = np.asarray(shape.indices, np.uint32).ravel()
+    params["faces"] = np.asarray(data.indices, np.uint32).ravel()
     params.update()
     return mesh
 
 
-def _shape(shape: Any, materials: dict[str, Any]) -> Any:
+def _shape(shape: Any, scene: Scene, assets: Assets) -> Any:
+    if shape.type == "instance" or not isinstance(shape.transform, tuple):
+        raise UnsupportedError("instances and motion")
     world = np.asarray(matrix_at(shape.transform, 0.0), np.float64)
     default = {
         "type": "diffuse",
         "reflectance": {"type": "rgb", "value": 0.8 if not getattr(shape, "emission", None) else 0.0},
     }
-    properties: dict[str, Any] = {"bsdf": _bsdf(materials[shape.material]) if shape.material else default}
+    properties: dict[str, Any] = {
+        "bsdf": _bsdf(scene.materials[shape.material], scene.textures) if shape.material else default
+    }
     if getattr(shape, "emission", None):
         if shape.emission.two_sided:
             raise UnsupportedError("two-sided emission")
@@ -129,7 +154,7 @@ def _shape(shape: Any, materials: dict[str, Any]) -> Any:
     if shape.type == "disc":
         return {"type": "disk", "to_world": _transform(world @ _disc_matrix(shape)), **properties}
     if shape.type == "mesh":
-        return _mesh(shape, world, properties)
+        return _mesh(shape, world, properties, assets)
     raise UnsupportedError(f"shape {shape.type}")
 
 
@@ -147,7 +172,7 @@ def _light(light: Any) -> dict[str, Any]:
     raise UnsupportedError(f"light {light.type}")
 
 
-def to_mitsuba(scene: Scene, sampler: str = "independent") -> dict[str, Any]:
+def to_mitsuba(scene: Scene, sampler: str = "independent", assets: Assets | None = None) -> dict[str, Any]:
     """The same scene as a dictionary for mitsuba.load_dict (a variant must be set)."""
     camera, film = scene.camera, scene.film
     if camera.type != "perspective" or film.filter.type != "box" or film.filter.radius != 0.5 or film.crop:
@@ -185,7 +210,7 @@ def to_mitsuba(scene: Scene, sampler: str = "independent") -> dict[str, Any]:
         "sensor": sensor,
     }
     for i, shape in enumerate(scene.shapes):
-        result[f"shape{i}"] = _shape(shape, dict(scene.materials))
+        result[f"shape{i}"] = _shape(shape, scene, assets or NoAssets())
     for i, light in enumerate(scene.lights):
         result[f"light{i}"] = _light(light)
     if scene.environment is not None:
