@@ -8,14 +8,14 @@ the client needs none of what it needs.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from importlib import metadata
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
-from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
-from penumbra_scene.receipt import Receipt
-
-from penumbra_client.errors import ClientError
+if TYPE_CHECKING:  # devices start before the models of scenes are imported
+    from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
+    from penumbra_scene.receipt import Receipt
 
 ENTRY_POINTS: Final = "penumbra.engines"
 NEEDED: Final = (
@@ -28,6 +28,9 @@ class Engine(Protocol):
 
     def devices(self) -> DevicePage:
         """The OpenCL devices of this machine."""
+
+    def ahead(self, devices: str) -> AbstractContextManager[None]:
+        """Have devices come up while the scene is read; `devices` as for `render`, which is called within."""
 
     def render(
         self,
@@ -52,4 +55,6 @@ def find_engine(command: str) -> Engine:
         except ImportError:
             continue
         return engine
+    from penumbra_client.errors import ClientError
+
     raise ClientError(f"`penumbra {command}` {NEEDED}")

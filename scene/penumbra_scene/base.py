@@ -5,18 +5,63 @@ Units: metres, seconds, degrees. Frame: right-handed, Y up. Colours: linear Rec.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    StringConstraints,
+)
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import PydanticCustomError
 
 from penumbra_scene import limits
 
 
 class Model(BaseModel):
-    """A strict, immutable model: unknown keys, NaN and infinity are errors."""
+    """A strict, immutable model: unknown keys, NaN and infinity are errors.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+    Nothing is built before it is used: a validator at the first document, the fields' descriptions, which are the strings
+    below them, when a schema is asked for. Every process imports these models, few need more than a part of them.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, text in _attribute_docstrings(cls).items():
+            if name in properties:
+                properties[name].setdefault("description", text)
+        return schema
+
+
+def _attribute_docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """The string below each attribute, in the class and those that it comes from."""
+    import ast
+    import inspect
+    from textwrap import dedent
+
+    found: dict[str, str] = {}
+    for cls in reversed(model.__mro__):
+        if not issubclass(cls, Model) or cls is Model:
+            continue
+        tree = ast.parse(dedent(inspect.getsource(cls))).body[0]
+        assert isinstance(tree, ast.ClassDef)
+        for attribute, text in pairwise(tree.body):
+            match attribute, text:
+                case (
+                    ast.AnnAssign(target=ast.Name(id=name)),
+                    ast.Expr(value=ast.Constant(value=str(words))),
+                ):
+                    found[name] = inspect.cleandoc(words)
+    return found
 
 
 def error_at(pointer: str, message: str, accepted: str = "") -> PydanticCustomError:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
     from penumbra_scene.receipt import Receipt
 
+    from penumbra_service.engine.launch import Child
     from penumbra_service.settings import Settings
 
 
@@ -217,6 +219,23 @@ EXPLAIN: Final = Command("say which effects a scene calls for", _EXPLAIN, _confi
 class LocalEngine:
     """Renders on this machine's devices, without a service."""
 
+    def __init__(self) -> None:
+        self._first: Child | None = None
+
+    @contextmanager
+    def ahead(self, devices: str) -> Iterator[None]:
+        """Start the first device's process, for a render on these devices that will be asked for."""
+        from penumbra_service.engine.launch import ids_of, start_first
+
+        with suppress(OSError):  # the render itself will tell
+            self._first = start_first(ids_of(devices))
+        try:
+            yield
+        finally:
+            if self._first is not None:
+                self._first.end()
+                self._first = None
+
     def devices(self) -> DevicePage:
         """The OpenCL devices of this machine."""
         from penumbra_service.rendering import local_devices
@@ -234,7 +253,8 @@ class LocalEngine:
         """Render a job whose files lie under `folder` and leave its results in `out`. Raises CommandError."""
         from penumbra_service.rendering import render
 
-        return render(request, folder, out, devices, report)
+        first, self._first = self._first, None
+        return render(request, folder, out, devices, report, first)
 
 
 ENGINE: Final = LocalEngine()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from penumbra_scene.job import DeviceStatus
 
+from penumbra_service.engine.launch import Child, ids_of
 from penumbra_service.engine.local import LocalEngine
 from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.frames import run_frames
@@ -15,11 +16,11 @@ from penumbra_service.settings import Settings, SettingsError
 from penumbra_service.store.contents import contents_url
 
 
-def engine_of(settings: Settings) -> ServedEngine:
-    """This machine's devices, or those of the farm whose scheduler the settings name. Raises SettingsError."""
+def engine_of(settings: Settings, first: Child | None = None) -> ServedEngine:
+    """This machine's devices (`first`: their first process, if it was started ahead), or those of the farm whose scheduler
+    the settings name. Raises SettingsError."""
     if not settings.scheduler:
-        ids = [part.strip() for part in settings.devices.split(",") if part.strip()]
-        return LocalEngine(ids or None)
+        return LocalEngine(ids_of(settings.devices), first=first)
     try:
         from penumbra_service.engine.dask.engine import DaskEngine
     except ImportError as error:

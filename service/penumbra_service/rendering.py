@@ -21,6 +21,7 @@ from penumbra_scene.job import (
 from penumbra_scene.receipt import Receipt
 
 from penumbra_service.commands import CommandError
+from penumbra_service.engine.launch import Child, ids_of
 from penumbra_service.engine.local import LocalEngine, NoDeviceError, list_devices
 from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.status import device_status
@@ -55,17 +56,22 @@ def local_devices() -> DevicePage:
 
 
 def render(
-    request: JobRequest, folder: Path, out: Path, devices: str, report: Callable[[ProgressEvent], None]
+    request: JobRequest,
+    folder: Path,
+    out: Path,
+    devices: str,
+    report: Callable[[ProgressEvent], None],
+    first: Child | None = None,
 ) -> tuple[Receipt, ...]:
     """Render a job and leave its results in `out`; files that the scene names lie under `folder`. The receipts of its
     pictures: one, or those of its frames, whose files lie in folders of their own.
 
-    `devices` are ids with commas between them, or "" for all. Raises CommandError, OSError.
+    `devices` are ids with commas between them, or "" for all; `first` is their first process, if it was started ahead.
+    Raises CommandError, OSError.
     """
-    ids = [part.strip() for part in devices.split(",") if part.strip()]
     with (
         tempfile.TemporaryDirectory(prefix=".penumbra-", dir=out) as work,
-        LocalEngine(ids or None) as engine,
+        LocalEngine(ids_of(devices), first=first) as engine,
     ):
         try:
             usable = engine.wait_known()

@@ -13,6 +13,8 @@ from penumbra_client.cli.options import add_scene, settings
 if TYPE_CHECKING:
     from penumbra_scene.job import JobRequest
 
+    from penumbra_client.local import Engine
+
 SUMMARY: Final = "trace a scene here, without a service"
 DESCRIPTION: Final = """\
 Trace a scene on this machine's OpenCL devices without a service, and leave EXR, thumbnail, heat map and
@@ -43,13 +45,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Render."""
+    from penumbra_client.local import find_engine
+
+    engine = find_engine("render")
+    with engine.ahead(arguments.device):
+        return _render(engine, arguments)
+
+
+def _render(engine: Engine, arguments: argparse.Namespace) -> int:
     from penumbra_client.cli.progress import ProgressView
     from penumbra_client.cli.report import print_frames, print_receipt
     from penumbra_client.errors import cannot_write
-    from penumbra_client.local import find_engine
     from penumbra_client.scenefile import named_files, read_scene, resolve_file
 
-    engine = find_engine("render")
     document, folder = read_scene(arguments.scene)
     request = _request(document, settings(arguments, document))
     for pointer, name in named_files(document):

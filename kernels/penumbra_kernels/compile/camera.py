@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from penumbra_scene.camera import Camera, PerspectiveCamera, Shutter
 from penumbra_scene.film import Film
-from scipy.linalg import polar
 
 from penumbra_kernels.compile.tables import density_table
-from penumbra_kernels.compile.transforms import keyframes_of, matrix_at, shifted
+from penumbra_kernels.compile.transforms import keyframes_of, matrix_at, polar, shifted
 from penumbra_kernels.layout import CAMERA, KEYFRAME
 
 Array = NDArray[np.float64]

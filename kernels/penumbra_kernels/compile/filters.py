@@ -14,7 +14,6 @@ from penumbra_scene.film import (
     MitchellFilter,
     TentFilter,
 )
-from scipy.optimize import brentq
 
 from penumbra_kernels.compile.tables import density_table
 
@@ -70,12 +69,21 @@ def profile_of(filter: Filter) -> Profile:  # noqa: A002 - the scene's own word
     return _blackman_harris
 
 
+def _root(profile: Profile, low: float, high: float) -> float:
+    """Where the profile changes its sign between two places, by halving."""
+    rises = float(profile(np.array(low))) < 0.0
+    while low < (middle := 0.5 * (low + high)) < high:
+        below = (float(profile(np.array(middle))) < 0.0) == rises
+        low, high = (middle, high) if below else (low, middle)
+    return high
+
+
 def _knots(profile: Profile, end: float) -> Array:
     """Even steps, the knot nearest to each zero crossing moved onto it, so that no cell has two signs."""
     knots = np.linspace(0.0, end, CELLS + 1)
     values = profile(knots)
     for i in np.flatnonzero(values[:-1] * values[1:] < 0.0):
-        root = brentq(lambda x: float(profile(np.array(x))), knots[i], knots[i + 1], xtol=1e-15)
+        root = _root(profile, float(knots[i]), float(knots[i + 1]))
         nearest = i if root - knots[i] < knots[i + 1] - root else i + 1
         knots[nearest] = root
     return knots

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from penumbra_scene.lights import ConstantEnvironment, DirectionalLight, PointLight, SpotLight
 from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Disc, Mesh, Quad, Sphere
-from scipy.special import elliprg
 
 from penumbra_kernels.assets import Assets
 from penumbra_kernels.compile.alias import STEPS, alias_table, quantised_cdf
@@ -253,6 +252,8 @@ def _sphere(record: Array, sphere: Array, emitter: ShapeRecord) -> float:
     radius = float(sphere["radius"])
     if emitter.instance == NONE:
         return 4.0 * math.pi * radius**2
+    from scipy.special import elliprg
+
     a, b, c = (radius * np.linalg.svd(emitter.world_from_object[:3, :3], compute_uv=False)) ** 2
     return 4.0 * math.pi * float(elliprg(a * b, a * c, b * c))  # Carlson 1995, DLMF 19.33.2
 

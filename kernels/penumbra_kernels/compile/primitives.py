@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from penumbra_scene.shapes import Disc, Mesh, MeshKeyframe, Plane, Quad, Sphere
-from scipy.spatial.transform import Rotation
 
 from penumbra_kernels.accel.build import ALONE, STATIC, Items, Tree, round_word
 from penumbra_kernels.assets import AssetError, Assets
@@ -22,6 +21,7 @@ from penumbra_kernels.compile.meshes import (
     with_area,
 )
 from penumbra_kernels.compile.placement import Matrix, Shutter
+from penumbra_kernels.compile.transforms import quaternion_of
 from penumbra_kernels.layout import CONSTANTS, DISC, PACKET8, PLANE, SPHERE, TRIANGLE
 
 NONE: Final = CONSTANTS["NONE"]
@@ -302,7 +302,7 @@ def add_sphere(
     if _mirrors(matrix):
         record["flags"] = CONSTANTS["SHAPE_FLIP"]
         turn = turn @ np.diag([-1.0, 1.0, 1.0])
-    quaternion = np.zeros(4) if np.array_equal(turn, np.eye(3)) else Rotation.from_matrix(turn).as_quat()
+    quaternion = np.zeros(4) if np.array_equal(turn, np.eye(3)) else quaternion_of(turn)
     out = np.zeros((), SPHERE)
     out["center"] = linear @ np.asarray(sphere.center) + matrix[:3, 3]
     out["radius"] = scale * sphere.radius

@@ -15,8 +15,6 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from penumbra_scene.transforms import Keyframes, LookAt, Matrix, Rotate, Scale, Step, Translate
-from scipy.linalg import polar
-from scipy.spatial.transform import Rotation as SciPyRotation
 
 from penumbra_kernels.layout import KEYFRAME
 
@@ -89,6 +87,38 @@ def shifted(matrix: Array, anchor: Array) -> Array:
     return out
 
 
+def polar(matrix: Array) -> tuple[Array, Array]:
+    """(3, 3) orthogonal and symmetric factors, matrix = orthogonal symmetric (Higham 1986)."""
+    u, sizes, vt = np.linalg.svd(matrix)
+    return u @ vt, (vt.T * sizes) @ vt
+
+
+def rotation_of(quaternion: Array) -> Array:
+    """(3, 3) of a unit quaternion x y z w."""
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """Unit quaternion x y z w, by whichever component is largest (Shepperd 1978). rotation: (3, 3), orthogonal."""
+    m = np.asarray(rotation, np.float64)
+    choice = int(np.argmax([m[0, 0], m[1, 1], m[2, 2], np.trace(m)]))
+    if choice == 3:
+        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + np.trace(m)])
+    else:
+        i, j, k = choice, (choice + 1) % 3, (choice + 2) % 3
+        q = np.empty(4)
+        q[i] = 1.0 + m[i, i] - m[j, j] - m[k, k]
+        q[j], q[k], q[3] = m[j, i] + m[i, j], m[k, i] + m[i, k], m[k, j] - m[j, k]
+    return np.asarray(q / np.linalg.norm(q))
+
+
 @dataclass(frozen=True)
 class Pose:
     """A motion's state at one time: matrix = T R S."""
@@ -102,7 +132,7 @@ class Pose:
 
     def matrix(self) -> Array:
         out = np.eye(4)
-        out[:3, :3] = SciPyRotation.from_quat(self.rotation).as_matrix() @ self.stretch
+        out[:3, :3] = rotation_of(self.rotation) @ self.stretch
         out[:3, 3] = self.translation
         return out
 
@@ -112,7 +142,7 @@ def _pose(time: float, matrix: Array) -> Pose:
     rotation, stretch = polar(matrix[:3, :3])
     if np.linalg.det(rotation) < 0.0:
         rotation, stretch = -rotation, -stretch
-    quaternion = SciPyRotation.from_matrix(rotation).as_quat()
+    quaternion = quaternion_of(rotation)
     return Pose(time, matrix[:3, 3].copy(), quaternion, 0.5 * (stretch + stretch.T))
 
 

@@ -3,7 +3,8 @@
 
 It reads leases from an inherited socket, in order, and answers each with its sum nodes. It keeps the scenes
 that it used last. It ends with its parent: at the socket's end, or by the kernel's death signal where it is
-deep in a driver. With `--list` it prints the machine's devices as JSON instead.
+deep in a driver. With `--first` in place of an id it first tells which devices there are, and drives the first that is
+wanted; with `--list` it prints them as JSON, and ends.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from penumbra_kernels.nodes import SumNode, Tile
 
 from penumbra_service.engine.protocol import (
     DeviceDescription,
+    Devices,
     FromDevice,
     Heartbeat,
     Hello,
@@ -92,6 +94,13 @@ class DeviceProcess:
         self._scenes: OrderedDict[str, LoadedScene] = OrderedDict()
         self._told: set[tuple[str, str]] = set()
         self._phase = "idle"
+
+    def introduce(self, wanted: Sequence[str]) -> str | None:
+        """Tell the machine's devices; which to go on with: the first of those wanted, of all where none are named."""
+        devices = tuple(self._backend.list())
+        opening = next((d.id for d in devices if not wanted or d.id in wanted), None)
+        self._send(Devices(devices, opening))
+        return opening
 
     def run(self, device_id: str) -> None:
         """Until the parent is gone or says so."""
@@ -186,6 +195,8 @@ def main(backend: Backend, arguments: Sequence[str] | None = None) -> None:
         prog="device_process", description="Drives one OpenCL device for Penumbra."
     )
     parser.add_argument("--list", action="store_true", help="print the machine's devices as JSON and end")
+    parser.add_argument("--first", action="store_true", help="tell the machine's devices, and drive one")
+    parser.add_argument("--wanted", default="", help="with --first: ids to choose from, commas between them")
     parser.add_argument("--device", help="the device's id, such as pocl:0")
     parser.add_argument("--fd", type=int, help="the inherited socket")
     parser.add_argument("--parent", type=int, help="process id to die with")
@@ -196,8 +207,12 @@ def main(backend: Backend, arguments: Sequence[str] | None = None) -> None:
     # Ctrl-C reaches the whole process group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with(options.parent)
+    process = DeviceProcess(backend, Connection(options.fd))
     try:
-        DeviceProcess(backend, Connection(options.fd)).run(options.device)
+        wanted = [name for name in options.wanted.split(",") if name]
+        device = process.introduce(wanted) if options.first else options.device
+        if device is not None:
+            process.run(device)
     except DeviceRefusedError as error:  # the last words are what the service shows
         sys.exit(str(error))
 
@@ -207,3 +222,6 @@ if __name__ == "__main__":
 
     # By its real name: exceptions of `__main__` would be others than those that the backend raises.
     device_process.main(opencl.OpenCLBackend())
+    # Nothing is left to do: not to wait for the interpreter and the driver to take themselves apart.
+    sys.stdout.flush()
+    os._exit(0)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import logging
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -21,9 +20,11 @@ from typing import Any, Final
 
 from penumbra_scene.job import DeviceStatus
 
+from penumbra_service.engine.launch import DEVICE_COMMAND, Child, start_first
 from penumbra_service.engine.protocol import (
     NOBODY,
     DeviceDescription,
+    Devices,
     FromDevice,
     Hello,
     LeaseFailure,
@@ -40,7 +41,6 @@ from penumbra_service.jobs.dispatch import IN_FLIGHT, Dispatcher
 
 log = logging.getLogger(__name__)
 
-DEVICE_COMMAND: Final = (sys.executable, "-m", "penumbra_service.engine.device_process")
 LIST_SECONDS: Final = 120.0
 """Drivers may take long to count their devices, the first time."""
 TICK_SECONDS: Final = 0.5
@@ -76,13 +76,19 @@ def list_devices(command: Sequence[str] = DEVICE_COMMAND) -> list[DeviceDescript
 
 
 class LocalEngine:
-    """Implements protocol.Engine. `device_ids`: which devices to use, all by default."""
+    """Implements protocol.Engine. `device_ids`: which devices to use, all by default. `first`: launch.start_first's process
+    for the same ids, where that was started ahead."""
 
     def __init__(
-        self, device_ids: Sequence[str] | None = None, *, command: Sequence[str] = DEVICE_COMMAND
+        self,
+        device_ids: Sequence[str] | None = None,
+        *,
+        command: Sequence[str] = DEVICE_COMMAND,
+        first: Child | None = None,
     ) -> None:
         self._device_ids = device_ids
         self._command = tuple(command)
+        self._first = first
         self._slots: list[DeviceSlot] = []
         self._dispatcher: Dispatcher[LeaseSource] = Dispatcher()
         self._lock = threading.Lock()
@@ -166,12 +172,15 @@ class LocalEngine:
             self._give_up(self._problem)
         finally:
             self._known.set()
+            if self._first is not None:
+                self._first.end()
             for slot in self._slots:
                 slot.close(CLOSE_SECONDS)
 
     def _find(self) -> None:
         try:
-            found = list_devices(self._command)
+            told = self._meet()
+            found = told.devices
             wanted = [d for d in found if self._device_ids is None or d.id in self._device_ids]
             missing = sorted(set(self._device_ids or ()) - {d.id for d in found})
             if missing:
@@ -180,10 +189,33 @@ class LocalEngine:
             if not wanted:
                 raise NoDeviceError("this machine has no OpenCL device")
             self._slots = [DeviceSlot(device, self._command) for device in wanted]
+            for slot in self._slots:
+                if slot.description.id == told.opening and self._first is not None:
+                    slot.adopt(self._first)
+                    self._first = None
         except NoDeviceError as error:
             self._problem = str(error)
             log.info("%s", error)  # whoever waits for devices raises it, and a service tells it in /health
         self._known.set()
+
+    def _meet(self) -> Devices:
+        """What the first process tells. Raises NoDeviceError."""
+        try:
+            first = self._first = self._first or start_first(self._device_ids, self._command)
+            deadline = time.monotonic() + LIST_SECONDS
+            while not first.connection.poll(TICK_SECONDS):
+                if self._stopping:
+                    raise NoDeviceError("the engine was stopped")
+                if time.monotonic() > deadline:
+                    raise NoDeviceError(f"listing the OpenCL devices took more than {LIST_SECONDS:g} s")
+            message = first.connection.recv()
+        except EOFError:
+            code = first.process.wait()
+            raise NoDeviceError(f"listing the OpenCL devices failed ({code}): {first.last_words()}") from None
+        except OSError as error:
+            raise NoDeviceError(f"listing the OpenCL devices failed: {error}") from error
+        assert isinstance(message, Devices)
+        return message
 
     def _start_due(self) -> None:
         now = time.monotonic()

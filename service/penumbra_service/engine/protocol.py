@@ -10,14 +10,16 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from penumbra_kernels.nodes import SumNode
-from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.dispatch import Bidder
 from penumbra_service.jobs.planning import WorkItem
+
+if TYPE_CHECKING:  # a device process does not wait for what it does not use
+    from penumbra_scene.job import DeviceStatus
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,14 @@ class Lease:
 
 
 # From the parent to a device process: Lease, or None to end.
+
+
+@dataclass(frozen=True)
+class Devices:
+    """The first process's first message: this machine's devices, and which it goes on to drive (None: no wanted one)."""
+
+    devices: tuple[DeviceDescription, ...]
+    opening: str | None
 
 
 @dataclass(frozen=True)
@@ -159,7 +169,7 @@ class NoDevice:
     reason: str
 
 
-FromDevice = Hello | Started | SceneLoaded | LeaseResult | LeaseFailure | Heartbeat
+FromDevice = Devices | Hello | Started | SceneLoaded | LeaseResult | LeaseFailure | Heartbeat
 ToJob = SceneLoaded | LeaseResult | LeaseFailure | LeaseLost | NoDevice
 
 

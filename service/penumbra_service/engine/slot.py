@@ -4,20 +4,18 @@ crash."""
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import subprocess
-import tempfile
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import IO, Final
+from typing import Final
 
 from penumbra_scene.job import DeviceState
 
+from penumbra_service.engine.launch import Child, start_child
 from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseSource
 from penumbra_service.engine.rate import RunningRate
 
@@ -32,8 +30,6 @@ START_ATTEMPTS: Final = 3
 """Processes in a row that may end before they say Hello, until the device counts as lost."""
 RETRY_SECONDS: Final = (0.0, 1.0, 5.0, 60.0)
 """Waits before start attempt 1, 2, 3 in a row, and all later ones."""
-STDERR_TAIL: Final = 2000
-"""Bytes of a dead process's last words that its reason quotes."""
 
 
 @dataclass
@@ -64,7 +60,7 @@ class DeviceSlot:
         self.rate = RunningRate()
         self.last_reason = ""
         self._command = command
-        self._words: IO[bytes] | None = None
+        self._child: Child | None = None
 
     @property
     def lost(self) -> bool:
@@ -80,24 +76,13 @@ class DeviceSlot:
         return DeviceState.BUSY if self.held else DeviceState.IDLE
 
     def start(self) -> None:
-        """Begin a process; it says Hello when the device is open."""
-        ours, theirs = Pipe()
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        command = [
-            *self._command,
-            *("--device", self.description.id, "--fd", str(theirs.fileno()), "--parent", str(os.getpid())),
-        ]
-        try:
-            self.process = subprocess.Popen(
-                command,
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=self._words,
-                stderr=self._words,
-            )
-        finally:
-            theirs.close()
-        self.connection = ours
+        """Begin a process; it says Hello when the device is open. Raises OSError."""
+        self.adopt(start_child(self._command, "--device", self.description.id))
+
+    def adopt(self, child: Child) -> None:
+        """Take over a process that opens this device."""
+        self._child = child
+        self.process, self.connection = child.process, child.connection
         self.deadline = time.monotonic() + START_SECONDS
 
     def send(self, lease: Lease, source: LeaseSource) -> None:
@@ -175,8 +160,8 @@ class DeviceSlot:
         self.process.kill()
         self.process.wait()
         self.connection.close()
-        if self._words is not None:
-            self._words.close()
+        if self._child is not None:
+            self._child.words.close()
 
     def _allow(self, lease_id: str, more: float) -> None:
         held = self.held.get(lease_id)
@@ -192,13 +177,11 @@ class DeviceSlot:
             return self.process.wait()
 
     def _last_words(self) -> str:
-        if self._words is None:
+        if self._child is None:
             return ""
-        size = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(size - STDERR_TAIL, 0))
-        words = self._words.read().decode(errors="replace").strip()
-        self._words.close()
-        self._words = None
+        words = self._child.last_words()
+        self._child.words.close()
+        self._child = None
         if words:
             log.warning("device %s said: %s", self.description.id, words)
         return words

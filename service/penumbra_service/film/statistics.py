@@ -17,10 +17,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
-from scipy.special import stdtrit
 
 from penumbra_service.film import flags
 from penumbra_service.film.grid import FLAG_BLOCK, block_starts
+from penumbra_service.film.student import quantile
 
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 """Rec.709."""
@@ -139,7 +139,7 @@ def outlier_share(replicates: int, level: float = OUTLIER_LEVEL) -> float:
     """
     if replicates < 4:
         return 2.0
-    t = -float(stdtrit(replicates - 2, level / (2 * replicates)))
+    t = quantile(replicates - 2, level / (2 * replicates))
     return (replicates - 1) / replicates * t * t / (replicates - 2 + t * t)
 
 
@@ -187,7 +187,7 @@ def _lengths(starts: list[int], count: int) -> NDArray[np.int64]:
 def t_quantile(confidence: float, degrees: int) -> float:
     """Two-sided Student quantile: m +- t sqrt(V) covers with this confidence. `degrees` is R - 1, at least
     1."""
-    return -float(stdtrit(degrees, (1 - confidence) / 2))
+    return quantile(degrees, (1 - confidence) / 2)
 
 
 def interval(pixels: PixelStatistics, confidence: float = 0.95) -> tuple[NDArray[Any], NDArray[Any]]:

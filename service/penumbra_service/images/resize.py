@@ -4,11 +4,9 @@ covers."""
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 
 def fitted_size(width: int, height: int, max_side: int) -> tuple[int, int]:
@@ -24,20 +22,25 @@ def shrink(pixels: NDArray[np.float32], max_side: int) -> NDArray[np.float32]:
     new_width, new_height = fitted_size(width, height, max_side)
     if (new_width, new_height) == (width, height):
         return pixels
-    rows = _coverage(height, new_height) @ pixels.reshape(height, width * channels)
-    columns = (
-        rows.reshape(new_height, width, channels).transpose(1, 0, 2).reshape(width, new_height * channels)
+    rows = _averages(pixels.reshape(height, width * channels), new_height)
+    columns = rows.reshape(new_height, width, channels).transpose(1, 0, 2)
+    shrunk = _averages(columns.reshape(width, new_height * channels), new_width)
+    return np.ascontiguousarray(
+        shrunk.reshape(new_width, new_height, channels).transpose(1, 0, 2), np.float32
     )
-    shrunk = (_coverage(width, new_width) @ columns).reshape(new_width, new_height, channels)
-    return np.ascontiguousarray(shrunk.transpose(1, 0, 2), np.float32)
 
 
-def _coverage(old: int, new: int) -> Any:
-    """(new, old): the share of each old cell in each new one; rows sum to 1."""
+def _averages(cells: NDArray[np.float32], new: int) -> NDArray[np.float32]:
+    """(new, n): averages over equal stretches of the first axis of cells (old, n), parts of cells counted as parts."""
+    old = len(cells)
     step = old / new
-    weights = sparse.lil_matrix((new, old), dtype=np.float32)
-    for i in range(new):
-        start, end = i * step, min((i + 1) * step, old)
-        for cell in range(int(start), min(math.ceil(end), old)):
-            weights[i, cell] = (min(end, cell + 1) - max(start, cell)) / step
-    return weights.tocsr()
+    start = np.arange(new) * step
+    end = np.minimum(start + step, old)
+    first = start.astype(np.int64)
+    out = np.zeros((new, *cells.shape[1:]), np.float32)
+    for tap in range(math.ceil(step) + 1):
+        cell = first + tap
+        share = (np.minimum(end, cell + 1) - np.maximum(start, cell)) / step
+        inside = np.flatnonzero((share > 0) & (cell < old))
+        out[inside] += share[inside, None].astype(np.float32) * cells[cell[inside]]
+    return out

@@ -6,8 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from penumbra_kernels.compile.transforms import keyframes_of, matrix_at, matrix_of, moves, poses_of, shifted
+import scipy.linalg
+from penumbra_kernels.compile.transforms import (
+    keyframes_of,
+    matrix_at,
+    matrix_of,
+    moves,
+    polar,
+    poses_of,
+    quaternion_of,
+    rotation_of,
+    shifted,
+)
 from penumbra_scene.camera import PerspectiveCamera
+from scipy.spatial.transform import Rotation
 
 
 def transform(value: Any) -> Any:
@@ -102,3 +114,20 @@ def test_times_are_stored_relative_to_the_frame() -> None:
     assert keys is not None
     np.testing.assert_array_equal(keys["time"], np.float32([-0.25, 0.25]))
     np.testing.assert_allclose(keys["translation"][:, 0], [0.75, 1.25], rtol=1e-6)
+
+
+def test_rotations_and_their_factors_are_scipys() -> None:
+    """Quaternions near every axis and at half turns; polar factors, mirrored ones too."""
+    rng = np.random.default_rng(3)
+    vectors = np.concatenate(
+        [rng.normal(size=(200, 3)), np.pi * np.eye(3), (np.pi - 1e-9) * np.eye(3), np.zeros((1, 3))]
+    )
+    for rotation in Rotation.from_rotvec(vectors):
+        matrix, expected = rotation.as_matrix(), rotation.as_quat()
+        ours = quaternion_of(matrix)
+        assert abs(abs(ours @ expected) - 1.0) < 1e-15 * 8
+        assert rotation_of(ours) == pytest.approx(matrix, abs=1e-14)
+    for _ in range(50):
+        matrix = rng.normal(size=(3, 3))
+        for a, b in zip(polar(matrix), scipy.linalg.polar(matrix), strict=True):
+            assert a == pytest.approx(b, abs=1e-12)

@@ -19,7 +19,8 @@ from typing import Final
 from distributed import get_worker
 
 from penumbra_service.engine.dask.wire import Answer, Contents, FarmLease, Joined, loaded_to_event
-from penumbra_service.engine.local import DEVICE_COMMAND, LocalEngine
+from penumbra_service.engine.launch import DEVICE_COMMAND
+from penumbra_service.engine.local import LocalEngine
 from penumbra_service.engine.protocol import (
     DeviceDescription,
     Lease,

@@ -22,7 +22,8 @@ from typing import Final
 from penumbra_kernels import cache
 
 from penumbra_service.engine.dask.addresses import check_scheduler, security
-from penumbra_service.engine.local import DEVICE_COMMAND, NoDeviceError, list_devices
+from penumbra_service.engine.launch import DEVICE_COMMAND
+from penumbra_service.engine.local import NoDeviceError, list_devices
 
 log = logging.getLogger(__name__)
 
