@@ -119,7 +119,8 @@ def _shapes(scene: Scene) -> Iterator[tuple[str, Shape | Sphere | Quad | Disc | 
             yield f"prototypes/{name}/{i}", shape
 
 
-def _materials(scene: Scene) -> Iterator[tuple[str, Material]]:
+def used_materials(scene: Scene) -> Iterator[tuple[str, Material]]:
+    """Every material that some placed shape has, with where it stands."""
     names = {s.material for _, s in _shapes(scene) if not isinstance(s, Instance) and s.material is not None}
     for name in sorted(names & scene.materials.keys()):
         yield f"materials/{name}", scene.materials[name]
@@ -170,14 +171,15 @@ def _round(scene: Scene, time: float) -> Iterable[str]:
             yield f"{where} is a {shape.type}"
 
 
-def _emitters(scene: Scene) -> Iterator[str]:
+def emitting_shapes(scene: Scene) -> Iterator[str]:
+    """Where the shapes stand that emit."""
     for where, shape in _shapes(scene):
         if isinstance(shape, (Sphere, Quad, Disc, Mesh)) and shape.emission is not None:
             yield where
 
 
 def _area_lights(scene: Scene, time: float) -> Iterable[str]:
-    for where in _emitters(scene):
+    for where in emitting_shapes(scene):
         yield f"{where} emits"
 
 
@@ -230,19 +232,19 @@ def _environment_image(scene: Scene, time: float) -> Iterable[str]:
 
 
 def _gloss(scene: Scene, time: float) -> Iterable[str]:
-    for where, material in _materials(scene):
+    for where, material in used_materials(scene):
         if material.type in GLOSSY:
             yield f"{where} is {material.type}"
 
 
 def _transmission(scene: Scene, time: float) -> Iterable[str]:
-    for where, material in _materials(scene):
+    for where, material in used_materials(scene):
         if material.type in TRANSMITTING:
             yield f"{where} transmits"
 
 
 def _textures(scene: Scene, time: float) -> Iterable[str]:
-    for where, material in _materials(scene):
+    for where, material in used_materials(scene):
         for key in type(material).model_fields:
             value = getattr(material, key)
             if isinstance(value, TextureRef):

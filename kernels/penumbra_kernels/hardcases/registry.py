@@ -12,7 +12,17 @@ from penumbra_kernels.hardcases.case import HardCase, Measure, Outcome, SkipCase
 if TYPE_CHECKING:
     from penumbra_kernels.device import Device
 
-DOMAINS: Final = ("geometry", "leaving", "motion")
+DOMAINS: Final = (
+    "geometry",
+    "leaving",
+    "motion",
+    "materials",
+    "lights",
+    "energy",
+    "sampling",
+    "film",
+    "pictures",
+)
 """Modules of this package that hold `CASES`."""
 ENTRY_POINTS: Final = "penumbra.hardcases"
 """Where other packages name theirs: a tuple of HardCase."""

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from penumbra_kernels.compile.alias import MAX_ENTRIES, STEPS, alias_table, quantised_cdf, quantised_pmf
-
-
-def many_powers() -> np.ndarray:
-    """10,000 lights of powers 1e-6 to 1e6, every seventh without any."""
-    powers = 10.0 ** np.random.default_rng(1).uniform(-6, 6, 10_000)
-    powers[::7] = 0.0
-    return powers
+from penumbra_kernels.hardcases.lights import many_powers
 
 
 def choose_on_host(table: np.ndarray, k: np.ndarray) -> np.ndarray:
@@ -74,15 +68,6 @@ def test_the_device_chooses_as_the_host(bench) -> None:
     assert np.array_equal(light, choose_on_host(table, k))
     assert np.array_equal(pmf, table["pmf"][light])
     assert np.array_equal(pmf, same)
-
-
-def test_mean_over_ten_thousand_lights_is_the_sum_over_all(bench) -> None:
-    powers = many_powers()
-    table = alias_table(powers)
-    scene = bench.scene([bench.light("point")] * len(table), light_table=table)
-    light, pmf, _ = bench.choose(scene, np.arange(STEPS) * 2.0**-24)
-    estimate = np.mean(powers[light] / pmf.astype(np.float64))
-    assert estimate == pytest.approx(powers.sum(), rel=1e-9)
 
 
 def test_choice_frequencies_follow_the_powers(bench) -> None:

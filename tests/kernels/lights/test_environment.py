@@ -9,6 +9,7 @@ import pytest
 from penumbra_kernels.assets import AssetError, Image
 from penumbra_kernels.compile.alias import STEPS
 from penumbra_kernels.compile.environment import compile_environment, row_solid_angles, texel_means
+from penumbra_kernels.hardcases.lights import environment_scene, texel_probabilities
 from penumbra_scene.lights import ImageEnvironment
 
 
@@ -30,19 +31,6 @@ def compiled(pixels, transform=(), scale=1.0, eight_bit=False):
         {"type": "image", "image": {"file": "sky.exr"}, "scale": scale, "transform": transform}
     )
     return compile_environment(model, OneImage(pixels, eight_bit), 0.0)
-
-
-def scene_of(bench, env):
-    record = bench.light(
-        "environment",
-        width=env.width,
-        height=env.height,
-        first_cdf=env.first_cdf,
-        position=env.environment_from_world[0],
-        direction=env.environment_from_world[1],
-        axis_v=env.environment_from_world[2],
-    )
-    return bench.scene([record], environment=env.buffer, environment_light=0)
 
 
 def noise(height: int, width: int, seed: int = 1) -> np.ndarray:
@@ -76,21 +64,13 @@ def bilinear(pixels: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return top * (1 - fy) + (at(y0 + 1, x0) * (1 - fx) + at(y0 + 1, x0 + 1) * fx) * fy
 
 
-def probabilities(env) -> np.ndarray:
-    """(h, w) probability of each texel, as the device chooses it."""
-    floats = env.buffer.reshape(-1)[env.first_cdf :].astype(np.float64)
-    rows = np.diff(floats[: env.height + 1])
-    columns = floats[env.height + 1 :][: env.height * (env.width + 1)].reshape(env.height, env.width + 1)
-    return rows[:, None] * np.diff(columns, axis=1)
-
-
 def test_axes_of_the_image(bench) -> None:
     """+Y is the top row, -Z the centre column, +X the right half's middle."""
     pixels = np.zeros((8, 16, 3), np.float32)
     pixels[0] = 1.0
     pixels[4, 8] = pixels[3, 8] = pixels[3, 7] = pixels[4, 7] = 2.0
     pixels[3:5, 11:13] = 3.0
-    scene = scene_of(bench, compiled(pixels))
+    scene = environment_scene(bench, compiled(pixels))
     axes = np.array([[0, 1, 0], [0, 0, -1], [1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     radiance, _ = bench.sky(scene, axes)
     assert np.allclose(radiance[:, 0], [1, 2, 3, 0, 0, 0], atol=1e-5)
@@ -101,7 +81,7 @@ def test_lookup_is_bilinear(bench, shape) -> None:
     pixels = noise(*shape)
     d = np.random.default_rng(3).normal(size=(4000, 3))
     d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
-    radiance, _ = bench.sky(scene_of(bench, compiled(pixels, scale=2.0)), d)
+    radiance, _ = bench.sky(environment_scene(bench, compiled(pixels, scale=2.0)), d)
     expected = 2.0 * bilinear(pixels, uv_of(d))
     assert np.allclose(radiance, expected, atol=1e-5 * 100 * max(shape))
 
@@ -129,7 +109,7 @@ def test_probabilities_follow_the_image(shape) -> None:
     gray = pixels.astype(np.float64).mean(axis=2)
     means = texel_means(np.concatenate([gray[:1], gray, gray[-1:]]))
     weights = means * row_solid_angles(shape[0])[:, None] / shape[1]
-    p = probabilities(env)
+    p = texel_probabilities(env)
     assert p.sum() == pytest.approx(1.0, abs=1e-12)
     assert np.array_equal(p > 0, weights > 0)
     # one step of 2^-24 in a row's choice, and one in its column's
@@ -138,25 +118,10 @@ def test_probabilities_follow_the_image(shape) -> None:
     assert env.flux == pytest.approx(weights.sum() * 1.0, rel=1e-12)
 
 
-def test_one_blinding_texel_in_eight_million() -> None:
-    """4096 x 2048, 0.7 everywhere but for one texel of 1e6: its probability to 1e-5."""
-    pixels = np.full((2048, 4096, 3), 0.7, np.float32)
-    pixels[700, 1000] = 1e6
-    env = compiled(pixels)
-    p = probabilities(env)
-    angles = row_solid_angles(2048) / 4096
-    kernel = np.array([1, 6, 1]) / 8
-    bright = (1e6 - 0.7) * np.outer(kernel, kernel) + 0.7
-    low = np.float64(np.float32(0.7))
-    total = low * 4 * math.pi + ((bright - 0.7) * angles[699:702, None]).sum()
-    assert np.allclose(p[699:702, 999:1002], bright * angles[699:702, None] / total, rtol=1e-5)
-    assert p.min() > 0
-
-
 @pytest.mark.parametrize("transform", [(), [{"rotate": {"axis": [1, 2, -0.5], "angle": 70}}, {"scale": 3}]])
 def test_samples_follow_the_density(bench, transform) -> None:
     env = compiled(noise(12, 24), transform)
-    scene = scene_of(bench, env)
+    scene = environment_scene(bench, env)
     count = 400_000
     s = bench.sample(scene, (0, 0, 0), bench.uniform(count, 5))
     assert len(s.pdf) == count
@@ -167,7 +132,7 @@ def test_samples_follow_the_density(bench, transform) -> None:
     fine = 3  # cells a texel, each way
     cell = np.clip((uv * [24 * fine, 12 * fine]).astype(int), 0, [24 * fine - 1, 12 * fine - 1])
     counts = np.bincount(cell[:, 1] * 24 * fine + cell[:, 0], minlength=24 * 12 * fine**2)
-    expected = np.kron(probabilities(env), np.full((fine, fine), 1 / fine**2)) * count
+    expected = np.kron(texel_probabilities(env), np.full((fine, fine), 1 / fine**2)) * count
     # a direction at a texel's very edge may round to its neighbour
     counts = counts.reshape(12 * fine, 24 * fine)
     stray = counts[expected == 0].sum()
@@ -179,7 +144,7 @@ def test_samples_follow_the_density(bench, transform) -> None:
 
 @pytest.mark.parametrize("transform", [(), [{"rotate": {"axis": [1, 2, -0.5], "angle": 70}}]])
 def test_a_samples_density_and_radiance_are_those_of_its_direction(bench, transform) -> None:
-    scene = scene_of(bench, compiled(noise(12, 24), transform))
+    scene = environment_scene(bench, compiled(noise(12, 24), transform))
     s = bench.sample(scene, (0, 0, 0), bench.uniform(100_000, 6))
     radiance, pdf = bench.sky(scene, s.wi)
     inside = np.isclose(pdf, s.pdf, rtol=1e-4)
@@ -188,7 +153,7 @@ def test_a_samples_density_and_radiance_are_those_of_its_direction(bench, transf
 
 
 def test_density_integrates_to_one(bench) -> None:
-    scene = scene_of(bench, compiled(noise(9, 16)))
+    scene = environment_scene(bench, compiled(noise(9, 16)))
     w, h = 16 * 24, 9 * 24
     u, v = np.meshgrid((np.arange(w) + 0.5) / w, (np.arange(h) + 0.5) / h)
     d = direction(u.ravel(), v.ravel())
@@ -200,7 +165,7 @@ def test_density_integrates_to_one(bench) -> None:
 def test_estimate_of_the_flux_is_unbiased(bench) -> None:
     """Mean of radiance / density over all samples is the image's integral, dim and black texels included."""
     env = compiled(noise(16, 32))
-    s = bench.sample(scene_of(bench, env), (0, 0, 0), bench.uniform(1_000_000, 7))
+    s = bench.sample(environment_scene(bench, env), (0, 0, 0), bench.uniform(1_000_000, 7))
     values = s.radiance.astype(np.float64).mean(axis=1) / s.pdf
     w, h = 32 * 32, 16 * 32
     u, v = np.meshgrid((np.arange(w) + 0.5) / w, (np.arange(h) + 0.5) / h)
@@ -228,7 +193,7 @@ def test_constant_environment_is_uniform_over_the_sphere(bench) -> None:
 
 
 def test_poles_are_finite(bench) -> None:
-    scene = scene_of(bench, compiled(noise(2, 4)))
+    scene = environment_scene(bench, compiled(noise(2, 4)))
     d = np.array([[0, 1, 0], [0, -1, 0], [1e-20, 1, 0], [0, -1, 1e-30], [-0.0, 1, -0.0]])
     radiance, pdf = bench.sky(scene, d)
     assert np.all(np.isfinite(radiance))
@@ -247,7 +212,7 @@ def test_broken_images_are_refused(bad) -> None:
 
 
 def test_a_black_image_gives_nothing_and_breaks_nothing(bench) -> None:
-    scene = scene_of(bench, compiled(np.zeros((4, 8, 3))))
+    scene = environment_scene(bench, compiled(np.zeros((4, 8, 3))))
     s = bench.sample(scene, (0, 0, 0), bench.uniform(1000, 9))
     assert not s.radiance.any()
     assert np.all(np.isfinite(s.pdf))

@@ -6,67 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from penumbra_kernels.compile.alias import STEPS, quantised_cdf
-from penumbra_kernels.layout import CONSTANTS, SHAPE, TRIANGLE
+from penumbra_kernels.hardcases.benches.lights import mesh_light
+from penumbra_kernels.hardcases.lights import TRIANGLE as TRIANGLE_AT_1
+from penumbra_kernels.hardcases.lights import triangle_irradiance
+from penumbra_kernels.layout import CONSTANTS
 
 ORIGIN = (0.0, 0.0, 0.0)
-
-
-def mesh(bench, vertices, faces, shape_flags: int = 0, **more):
-    """A scene with one mesh light, behind another triangle in the buffers."""
-    vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.uint32)
-    triangles = np.zeros(len(faces) + 1, TRIANGLE)
-    triangles["vertex"][1:] = faces
-    shapes = np.zeros(1, SHAPE)
-    shapes["flags"] = shape_flags
-    corners = vertices[faces].astype(np.float64)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    cdf = np.concatenate([[0.5], quantised_cdf(areas) / STEPS]).astype(np.float32)
-    record = bench.light("mesh", first_cdf=1, first_triangle=1, triangle_count=len(faces), shape=0, **more)
-    scene = bench.scene([record], emitter_cdf=cdf, triangles=triangles, shapes=shapes, positions=vertices)
-    return scene, areas
-
-
-def triangle_irradiance(corners: np.ndarray, normal: np.ndarray) -> float:
-    """At the origin, of radiance 1, wholly above the horizon (Lambert 1760), in float64."""
-    unit = corners / np.linalg.norm(corners, axis=1, keepdims=True)
-    total = 0.0
-    for a, b in zip(unit, np.roll(unit, -1, axis=0), strict=True):
-        cross = np.cross(a, b)
-        sine = np.linalg.norm(cross)
-        total += math.atan2(sine, a @ b) * (cross / sine) @ normal
-    return abs(total) / 2
-
-
-TRIANGLE_AT_1 = np.array([[-0.4, 1.0, -0.3], [0.1, 1.1, 0.6], [0.7, 0.9, -0.2]])
-
-
-@pytest.mark.parametrize("distance", [0.3, 1.0, 5.0, 30.0, 100.0])
-def test_triangle_lights_the_floor_as_its_form_factor_says(bench, distance: float) -> None:
-    corners = TRIANGLE_AT_1 + np.array([0, distance - 1, 0])
-    scene, _ = mesh(bench, corners, [[0, 2, 1]])
-    corners = corners.astype(np.float32).astype(np.float64)
-    s = bench.sample(scene, ORIGIN, bench.grid(512))
-    if not len(s.pdf):
-        scene, _ = mesh(bench, corners, [[0, 1, 2]])
-        s = bench.sample(scene, ORIGIN, bench.grid(512))
-    exact = triangle_irradiance(corners, np.array([0.0, 1.0, 0.0]))
-    assert len(s.pdf) == 512 * 512
-    assert np.mean(s.wi[:, 1].astype(np.float64) / s.pdf) == pytest.approx(exact, rel=2e-5)
-
-
-@pytest.mark.parametrize("distance", [1e3, 1e4])
-def test_far_triangle_is_its_area_over_the_square_of_the_distance(bench, distance: float) -> None:
-    """The first terms of the multipole series, whose error is (size / distance)^2 = 1e-6 or less."""
-    corners = (TRIANGLE_AT_1 + np.array([0, distance - 1, 0])).astype(np.float32).astype(np.float64)
-    faces = [[0, 1, 2]] if np.cross(corners[1] - corners[0], corners[2] - corners[0])[1] < 0 else [[0, 2, 1]]
-    scene, _ = mesh(bench, corners, faces)
-    s = bench.sample(scene, ORIGIN, bench.grid(128))
-    center = corners.mean(axis=0)
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0]) / 2
-    r = np.linalg.norm(center)
-    exact = abs(normal @ center) / r**3 * center[1] / r
-    assert np.mean(s.wi[:, 1].astype(np.float64) / s.pdf) == pytest.approx(exact, rel=1e-5)
 
 
 def barycentric(points, corners):
@@ -95,7 +40,7 @@ TRIANGLES = {
 def test_samples_are_uniform_in_solid_angle(bench, name: str) -> None:
     """chi^2 over n^2 congruent parts of the triangle, whose solid angles are known."""
     corners = TRIANGLES[name].astype(np.float32).astype(np.float64)
-    scene, _ = mesh(bench, corners, [[0, 1, 2]], flags=1)
+    scene, _ = mesh_light(bench, corners, [[0, 1, 2]], flags=1)
     count, n = 500_000, 20
     s = bench.sample(scene, ORIGIN, bench.uniform(count, 41))
     assert len(s.pdf) == count
@@ -141,7 +86,7 @@ def test_icosahedron_against_the_sum_of_its_visible_faces(bench, area_bench, den
     v, faces = icosahedron()
     assert len(faces) == 20
     v = (v * [1.0, 0.5, 2.0] + [1.0, 4.0, 0.5]).astype(np.float32).astype(np.float64)
-    scene, _ = mesh(which, v, faces)
+    scene, _ = mesh_light(which, v, faces)
     s = which.sample(scene, ORIGIN, which.uniform(1_000_000, 42, 3))
     values = np.zeros(1_000_000)
     values[s.index] = s.wi[:, 1].astype(np.float64) / s.pdf
@@ -156,7 +101,7 @@ def test_icosahedron_against_the_sum_of_its_visible_faces(bench, area_bench, den
 def test_triangles_are_chosen_by_area(bench) -> None:
     v, faces = icosahedron()
     v = v * [1.0, 0.2, 3.0] + [0, 9, 0]
-    scene, areas = mesh(bench, v, faces, flags=1)
+    scene, areas = mesh_light(bench, v, faces, flags=1)
     count = 300_000
     s = bench.sample(scene, ORIGIN, bench.uniform(count, 43, 3))
     assert len(s.pdf) == count
@@ -173,7 +118,7 @@ def test_a_samples_density_is_that_of_hitting_it(bench, area_bench, name: str, d
     which = bench if density == "solid angle" else area_bench
     other = [[-3, 2, -1], [-3, 2, 1], [-2, 2, 0]]
     v = np.concatenate([other, TRIANGLES[name]])
-    scene, _ = mesh(which, v, [[0, 1, 2], [3, 4, 5]], flags=1)
+    scene, _ = mesh_light(which, v, [[0, 1, 2], [3, 4, 5]], flags=1)
     u = which.uniform(5000, 44, 3)
     u[:, 2] = 1 - 2.0**-24
     s = which.sample(scene, ORIGIN, u)
@@ -187,7 +132,7 @@ def test_a_samples_density_is_that_of_hitting_it(bench, area_bench, name: str, d
 def test_mirrored_winding_emits_on_the_other_side(bench) -> None:
     u = bench.uniform(100, 45)
     for flip in (0, CONSTANTS["SHAPE_FLIP"]):
-        scenes = [mesh(bench, TRIANGLE_AT_1, [face], flip)[0] for face in ([0, 1, 2], [0, 2, 1])]
+        scenes = [mesh_light(bench, TRIANGLE_AT_1, [face], flip)[0] for face in ([0, 1, 2], [0, 2, 1])]
         given = [len(bench.sample(scene, ORIGIN, u).pdf) for scene in scenes]
         assert sorted(given) == [0, 100]
         facing = [0, 1, 2] if given[0] else [0, 2, 1]
@@ -197,7 +142,7 @@ def test_mirrored_winding_emits_on_the_other_side(bench) -> None:
 
 def test_degenerate_triangles_are_never_chosen(bench) -> None:
     v = np.concatenate([TRIANGLE_AT_1, [[0, 1, 0], [0, 1, 0], [0, 1, 0]]])
-    scene, _ = mesh(bench, v, [[3, 4, 5], [0, 1, 2], [3, 3, 4]], flags=1)
+    scene, _ = mesh_light(bench, v, [[3, 4, 5], [0, 1, 2], [3, 3, 4]], flags=1)
     s = bench.sample(scene, ORIGIN, bench.uniform(2000, 46, 3))
     assert len(s.pdf) == 2000
     assert np.all(np.isfinite(s.pdf))

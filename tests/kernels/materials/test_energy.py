@@ -6,44 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from penumbra_kernels.hardcases.benches.materials import RECIPROCAL, TILTED, albedo_of
 
 SIGMAS = 5.0
 """A false alarm in two million; the means below are of bounded numbers, so nearly normal."""
 SAMPLES = 100_000
 
-TILTED = ((0.0, 0.0, 1.0), (0.28, 0.0, 0.96), (0.96, 0.0, -0.28))
-"""A shading normal 16 degrees off the geometric one."""
-
 
 def _roughness(alpha: float) -> float:
     return float(np.sqrt(alpha))
-
-
-def albedo_of(bench: Any, material: dict[str, Any], cosine: float, eta: float = 1.0) -> tuple[float, float]:
-    """Mean energy that leaves, first channel, and its standard error. eta: far index over near index; what is
-    transmitted is radiance there times eta^2."""
-    s = bench.sample(material, bench.toward(cosine, 0.9), bench.uniforms(SAMPLES, 23))
-    energy = np.where(s.alive, s.weight[:, 0].astype(np.float64), 0.0)
-    energy *= np.where(s.transmitted, eta * eta, 1.0)
-    return float(energy.mean()), float(energy.std() / np.sqrt(SAMPLES))
-
-
-@pytest.mark.parametrize(
-    ("alpha", "cosine", "expected"), [(1.0, 1.0, 0.30685), (0.5, 1.0, 0.6877), (0.1, 0.1, 0.8834)]
-)
-def test_single_scattering_loses_what_it_must(
-    bench: Any, alpha: float, cosine: float, expected: float
-) -> None:
-    # At alpha 1 and normal incidence the mean of G2 / G1 over the visible normals is 1 - ln 2.
-    material = {
-        "type": "conductor",
-        "base_color": 1,
-        "roughness": _roughness(alpha),
-        "energy_compensation": False,
-    }
-    mean, error = albedo_of(bench, material, cosine)
-    assert mean == pytest.approx(expected, abs=SIGMAS * error + 5e-5)
 
 
 METALS = [(a, c) for a in (1e-3, 0.01, 0.1, 0.3, 0.7, 1.0) for c in (1.0, 0.7, 0.3, 0.1, 0.03, 1e-3)]
@@ -127,89 +98,6 @@ def test_phong_reflects_its_specular_color_at_normal_incidence(bench: Any) -> No
     material = {"type": "phong", "base_color": 0.2, "specular_color": 0.5, "exponent": 40}
     mean, error = albedo_of(bench, material, 1.0)
     assert mean == pytest.approx(0.7, abs=SIGMAS * error)
-
-
-RECIPROCAL: dict[str, dict[str, Any]] = {
-    "diffuse": {"type": "diffuse"},
-    "phong": {"type": "phong", "exponent": 50},
-    "metal": {"type": "conductor", "roughness": 0.4, "anisotropy": 0.5, "rotation": 30},
-    "rough metal": {"type": "conductor", "roughness": 1},
-    "plastic": {"type": "plastic", "roughness": 0.4},
-    "smooth plastic": {"type": "plastic", "roughness": 0},
-    "glass": {"type": "dielectric", "roughness": 0.5, "color": (0.9, 0.5, 0.2)},
-    "rough glass": {"type": "dielectric", "roughness": 1.0, "ior": 2.0},
-    "sheet": {"type": "thin_dielectric", "roughness": 0.5, "color": (0.9, 0.5, 0.2)},
-    "paper": {"type": "diffuse_transmission"},
-}
-
-
-def _function(
-    bench: Any, material: Any, frame: Any, wo: NDArray[Any], wi: NDArray[Any]
-) -> NDArray[np.float64]:
-    """f, without the cosine, divided by the square of the index on the side of wo (Veach 1997, eq. 5.14)."""
-    value, _ = bench.evaluate(material, wo, wi, frame)
-    cosine = np.abs(wi.astype(np.float64) @ np.asarray(frame[1]))
-    index = np.where(wo.astype(np.float64) @ np.asarray(frame[0]) < 0, material.get("ior", 1.5), 1.0)
-    if material["type"] != "dielectric":
-        index = np.ones(len(wi))
-    return np.asarray(value / (cosine * index**2)[:, None])
-
-
-@pytest.mark.parametrize("tilted", [False, True])
-@pytest.mark.parametrize("name", RECIPROCAL)
-def test_light_goes_both_ways_alike(bench: Any, name: str, tilted: bool) -> None:
-    frame = TILTED if tilted else bench.FLAT
-    wo, wi = bench.directions(100_000, 1), bench.directions(100_000, 2)
-    # Cosines carry absolute errors of some 2^-23: beyond a hundredth they are good to 1e-5.
-    clear = (np.abs(wo @ np.asarray(frame[1])) > 0.02) & (np.abs(wi @ np.asarray(frame[1])) > 0.02)
-    wo, wi = wo[clear], wi[clear]
-    there = _function(bench, RECIPROCAL[name], frame, wo, wi)
-    back = _function(bench, RECIPROCAL[name], frame, wi, wo)
-    assert (there > 0).mean() > 0.05
-    np.testing.assert_allclose(there, back, rtol=1e-4, atol=1e-5)
-    # Nearly all pairs agree to 1e-5; those on the flank of a narrow refracted lobe amplify their rounding.
-    agree = np.abs(there - back) <= 1e-5 * np.maximum(np.abs(there), 1.0)
-    assert agree.mean() > 0.999
-
-
-def test_a_thin_sheet_passes_the_sum_of_its_reflections(bench: Any) -> None:
-    s = bench.sample({"type": "thin_dielectric", "ior": 1.5}, (0.0, 0.0, 1.0), bench.uniforms(1000, 1))
-    assert s.pdf[s.transmitted] == pytest.approx(0.96 / 1.04, abs=1e-6)
-    assert s.pdf[~s.transmitted] == pytest.approx(0.08 / 1.04, abs=1e-6)
-    np.testing.assert_array_equal(s.weight, 1.0)
-    np.testing.assert_array_equal(s.wi[:, :2], 0.0)
-    np.testing.assert_array_equal(s.wi[:, 2], np.where(s.transmitted, -1.0, 1.0))
-
-
-def test_a_slab_of_glass_passes_the_sum_of_its_reflections(bench: Any) -> None:
-    # Two faces of reflectance .04 in series, rays followed between them: T = (1 - R) / (1 + R).
-    rng = np.random.default_rng(8)
-    through, n = 0, 100_000
-    s = bench.sample({"type": "dielectric"}, (0.0, 0.0, 1.0), rng.random((n, 3)))
-    inside = np.count_nonzero(s.transmitted)
-    weight = float(s.weight[s.transmitted][0, 0])
-    for bounce in range(12):
-        s = bench.sample({"type": "dielectric"}, (0.0, 0.0, -1.0), rng.random((inside, 3)))
-        out = np.count_nonzero(s.transmitted)
-        assert s.weight[s.transmitted][0, 0] * weight == pytest.approx(1.0, abs=1e-6)
-        through += out if bounce % 2 == 0 else 0
-        inside -= out
-        if inside == 0:
-            break
-    expected = 0.96 / 1.04
-    assert through / n == pytest.approx(expected, abs=SIGMAS * np.sqrt(expected * (1 - expected) / n))
-
-
-@pytest.mark.parametrize("roughness", [0.0, 0.5])
-@pytest.mark.parametrize("kind", ["dielectric", "thin_dielectric"])
-def test_matched_index_is_invisible(bench: Any, kind: str, roughness: float) -> None:
-    material = {"type": kind, "ior": 1.0, "roughness": roughness if kind == "dielectric" else 0.0}
-    wo = bench.directions(20_000, 4)
-    for frame in (bench.FLAT, TILTED):
-        s = bench.sample(material, wo, bench.uniforms(len(wo), 5), frame)
-        np.testing.assert_array_equal(s.wi, -wo)
-        np.testing.assert_array_equal(s.weight, 1.0)
-        np.testing.assert_array_equal(s.pdf, 1.0)
 
 
 @pytest.mark.parametrize("name", RECIPROCAL)

@@ -15,20 +15,6 @@ FALSE_ALARM = 1e-6
 KERNELS = """
 #include "sampling/strata.cl"
 #include "sampling/owen.cl"
-__kernel void extremes(__global uint2 *out) {  // over all 32-bit inputs with these 12 high bits
-  const uint i = get_global_id(0);
-  uint low = 0xffffffffu, high = 0u;
-  for (uint k = 0; k < (1u << 20); ++k) {
-    const uint u = as_uint(uniform_of((i << 20) | k));  // ordered as floats, negative ones above all
-    low = MIN(low, u);
-    high = MAX(high, u);
-  }
-  out[i] = (uint2)(low, high);
-}
-__kernel void keys(__global ulong *out, const ulong seed, const uint width) {
-  const uint i = get_global_id(0);
-  out[i] = pixel_key(seed, i % width, i / width, 3u);
-}
 __kernel void permuted(__global uint *out, const uint count) {
   const uint i = get_global_id(0);
   out[i] = permute(i % count, count, mix64(i / count));
@@ -50,23 +36,6 @@ __kernel void roots(__global uint *out, const __global uint *n) {
 @pytest.fixture(scope="module")
 def launch(compiled: Any) -> Callable[..., None]:
     return compiled(KERNELS, {})  # type: ignore[no-any-return]
-
-
-def test_uniform_numbers_never_reach_one(launch: Callable[..., None]) -> None:
-    """Over all 2^32 inputs."""
-    out = np.empty((4096, 2), np.uint32)
-    launch("extremes", 4096, out)
-    lowest, highest = out[:, 0].min().view(np.float32), out[:, 1].max().view(np.float32)
-    assert lowest == 0.0
-    assert highest == 1.0 - 2.0**-24
-
-
-def test_no_two_pixels_of_a_4k_frame_share_a_key(launch: Callable[..., None]) -> None:
-    """Keys of 32 bits would collide some 8,000 times; of 64 bits, with a chance of 2e-6 in all."""
-    out = np.empty(3840 * 2160, np.uint64)
-    launch("keys", len(out), out, np.uint64(1), np.uint32(3840))
-    out.sort()
-    assert (np.diff(out) > 0).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 13, 1000, 1 << 20])

@@ -7,61 +7,12 @@ import pytest
 from penumbra_kernels.assets import NoAssets
 from penumbra_kernels.compile.scene import compile_scene
 from penumbra_kernels.device import Device
+from penumbra_kernels.hardcases.benches.pictures import busy
 from penumbra_kernels.nodes import Tile, merge
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
 
 SAMPLERS = ["regular", "random", "independent", "stratified", "jittered", "sobol", "blue_noise"]
-
-
-def busy(sampler: str = "sobol", selection: str = "power") -> Scene:
-    """Every kind of light, gloss, glass, texture and motion in one small picture."""
-    return Scene.model_validate(
-        {
-            "version": 1,
-            "camera": {
-                "type": "perspective",
-                "transform": {"look_at": {"origin": [0, 1.5, 6], "target": [0, 0.8, 0]}},
-                "lens": {"aperture_radius": 0.05, "focus_distance": 6, "blades": 5},
-                "shutter": {"open": 0, "close": 0.5},
-            },
-            "film": {"width": 24, "height": 20},
-            "sampler": {"type": sampler, "seed": 7},
-            "integrator": {"max_bounces": 6, "light_selection": selection},
-            "textures": {"check": {"type": "checker", "uv": {"scale": [4, 4]}}},
-            "materials": {
-                "floor": {"type": "diffuse", "base_color": {"texture": "check"}},
-                "gold": {"type": "conductor", "base_color": [0.9, 0.7, 0.3], "roughness": 0.4},
-                "glass": {"type": "dielectric", "roughness": 0.2},
-            },
-            "shapes": [
-                {"type": "plane", "material": "floor"},
-                {"type": "sphere", "center": [-1, 0.8, 0], "radius": 0.8, "material": "gold"},
-                {"type": "sphere", "center": [1, 0.7, 0.5], "radius": 0.7, "material": "glass"},
-                {
-                    "type": "quad",
-                    "origin": [-0.3, 0.1, 1.5],
-                    "u": [0.6, 0, 0],
-                    "v": [0, 0.6, 0],
-                    "transform": {
-                        "keyframes": [
-                            {"time": 0, "transform": []},
-                            {"time": 1, "transform": [{"translate": [1, 0, 0]}]},
-                        ]
-                    },
-                },
-                {
-                    "type": "disc",
-                    "center": [0, 4, 0],
-                    "normal": [0, -1, 0],
-                    "radius": 0.7,
-                    "emission": {"radiance": 8},
-                },
-            ],
-            "lights": [{"type": "point", "position": [3, 3, 3], "intensity": 5}],
-            "environment": {"type": "constant", "radiance": 0.2},
-        }
-    )
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
