@@ -1,9 +1,6 @@
 // Eight lanes at once: what the traversal does to eight boxes or eight triangles. No lengths, no frame.
-#include "base/types.h"
+#include "base/lanes.cl"
 #include "geometry/slack.h"
-
-#define MIN8(a, b) ((a) < (b) ? (a) : (b))
-#define MAX8(a, b) ((a) > (b) ? (a) : (b))
 
 // A ray in the frame of the tree that it is in, prepared for boxes and triangles.
 typedef struct {
@@ -17,17 +14,6 @@ typedef struct {
   float8 okx, oky, okz, sx, sy, sz;
   float3 o, d;
 } WideRay;
-
-#if PENUMBRA_X86 && defined(__AVX__)
-static inline uint lane_mask(const int8 m) { return (uint)__builtin_ia32_movmskps256(as_float8(m)); }
-#else
-static inline uint lane_mask(const int8 m) {
-  const int8 bits = m & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
-  const int4 four = bits.lo | bits.hi;
-  const int2 two = four.lo | four.hi;
-  return (uint)(two.x | two.y);
-}
-#endif
 
 #if PENUMBRA_X86 && defined(__FMA__)
 static inline float8 fma8(const float8 a, const float8 b, const float8 c) {

@@ -8,8 +8,7 @@
 // children to the last one, with at least one for every light of a child that can light. So the pmf of a light is exactly
 // the share of the numbers that lead to it, and pmfs sum to 1. The way down to a light is found again by its place in the
 // tree's order (Light.leaf), since each child holds consecutive places.
-#include "base/types.h"
-#include "geometry/wide.cl"
+#include "base/lanes.cl"
 #include "lights/receiver.h"
 
 #if PENUMBRA_BUILTINS
