@@ -162,6 +162,8 @@ class Progress(Model):
     """Samples a pixel at which the job stops; null: it stops by time or error."""
     seconds: Measured = 0.0
     """Of tracing."""
+    device_seconds: Measured = 0.0
+    """Of tracing, all devices together: what quotas count."""
     relmse: Measured | None = None
     """Pooled variance over pooled squared mean; null while it is unknown."""
     relative_error: Measured | None = None

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from penumbra_service.engine.launch import Child
     from penumbra_service.settings import Settings
+    from penumbra_service.store.keys import ApiKey
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,8 @@ with: each folder has its own keys.
   penumbra keys create laptop                of one that was started without --data
   penumbra keys list --data data
   penumbra keys revoke laptop --data data
+  penumbra keys create render-bot --quota 36000        ten device-hours, then its submissions are refused
+  penumbra keys quota render-bot 72000                 raise it; `none` lifts it
 """
 
 
@@ -132,10 +135,18 @@ def _configure_keys(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     create = actions.add_parser("create", help="make a key, and print it")
     create.add_argument("name", help="what it is for; no two active keys have one name")
+    create.add_argument(
+        "--quota", type=_quota_seconds, metavar="S", help="device-seconds that its jobs may use"
+    )
     listing = actions.add_parser("list", help="list the keys, without what is secret")
     revoke = actions.add_parser("revoke", help="end a key")
     revoke.add_argument("name", help="a key's name or id")
-    for action in (create, listing, revoke):
+    quota = actions.add_parser("quota", help="limit the device-seconds of a key's jobs")
+    quota.add_argument("name", help="a key's name or id")
+    quota.add_argument(
+        "seconds", type=_quota_seconds, help="in all, those used so far included; `none`: no limit"
+    )
+    for action in (create, listing, revoke, quota):
         # Without a default of its own, so that the folder may stand on either side of the action's word.
         _add_data(action, argparse.SUPPRESS)
 
@@ -150,10 +161,35 @@ def _keys(arguments: argparse.Namespace) -> int:
         raise CommandError(str(error)) from None
 
 
+def _quota_seconds(text: str) -> float | None:
+    if text == "none":
+        return None
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} given, device-seconds from 0 or `none` accepted")
+    return seconds
+
+
+def _set_quota(arguments: argparse.Namespace) -> int:
+    from penumbra_service.serve import set_quota
+
+    if set_quota(arguments.name, arguments.seconds, arguments.data) == 0:
+        raise _no_such_key(arguments)
+    return Exit.OK
+
+
+def _no_such_key(arguments: argparse.Namespace) -> CommandError:
+    listing = _settings(data=arguments.data).keys_command("list")
+    return CommandError(f"there is no active key {arguments.name!r}; `{listing}` shows them")
+
+
 def _create_key(arguments: argparse.Namespace) -> int:
     from penumbra_service.serve import create_key
 
-    token, _ = create_key(arguments.name, arguments.data)
+    token, _ = create_key(arguments.name, arguments.data, quota_seconds=arguments.quota)
     print(token)
     place = _settings(data=arguments.data)
     kept = "the database of PENUMBRA_DATABASE_URL" if place.database_url else str(place.data.absolute())
@@ -166,20 +202,25 @@ def _list_keys(arguments: argparse.Namespace) -> int:
 
     for key in list_keys(arguments.data):
         state = "active" if key.revoked is None else f"revoked {key.revoked:%Y-%m-%d}"
-        print(f"{key.id}  {key.hint}...  {key.created:%Y-%m-%d}  {state}  {key.name}")
+        print(f"{key.id}  {key.hint}...  {key.created:%Y-%m-%d}  {state}  {_spent(key)}  {key.name}")
     return Exit.OK
+
+
+def _spent(key: ApiKey) -> str:
+    """'1234.5 of 36000 device-seconds'."""
+    of = "" if key.quota_seconds is None else f" of {key.quota_seconds:g}"
+    return f"{key.used_seconds:.1f}{of} device-seconds"
 
 
 def _revoke_key(arguments: argparse.Namespace) -> int:
     from penumbra_service.serve import revoke_key
 
     if revoke_key(arguments.name, arguments.data) == 0:
-        listing = _settings(data=arguments.data).keys_command("list")
-        raise CommandError(f"there is no active key {arguments.name!r}; `{listing}` shows them")
+        raise _no_such_key(arguments)
     return Exit.OK
 
 
-_KEY_ACTIONS: Final = {"create": _create_key, "list": _list_keys, "revoke": _revoke_key}
+_KEY_ACTIONS: Final = {"create": _create_key, "list": _list_keys, "revoke": _revoke_key, "quota": _set_quota}
 KEYS: Final = Command("make, list and revoke API keys", _KEYS, _configure_keys, _keys)
 
 

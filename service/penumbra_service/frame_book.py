@@ -43,6 +43,7 @@ class ServiceFrameBook:
             row.number: EndedFrame(
                 row.state == JobState.FAILED,
                 row.progress.get("seconds", 0.0),
+                row.progress.get("device_seconds", 0.0),
                 row.progress.get("samples_done", 0.0),
             )
             for row in self._store.of_job(self._job)

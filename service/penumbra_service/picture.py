@@ -99,6 +99,7 @@ class PictureRunner:
             on_preview=_shower(picture, latest),
         )
         picture.control.when_halted(lambda ask: runner.halt(Halt.CANCEL if ask is Ask.CANCEL else Halt.PAUSE))
+        picture.control.when_prioritized(runner.prioritize)
         return _ended(picture, runner.run(), latest)
 
     def _reporter(self, picture: Picture) -> Callable[[JobState, Progress], None]:

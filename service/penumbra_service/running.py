@@ -26,12 +26,15 @@ class Halt(StrEnum):
 
 
 class Control:
-    """How a runner learns that it shall stop. Any thread may ask; CANCEL outweighs the other reasons."""
+    """How a runner learns that it shall stop, or that a job has become more or less urgent. Any thread may ask;
+    CANCEL outweighs the other reasons."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reason: Halt | None = None
         self._told: list[Callable[[Halt], None]] = []
+        self._priority: int | None = None
+        self._told_priority: list[Callable[[int], None]] = []
 
     def halt(self, reason: Halt) -> None:
         """Ask for a stop."""
@@ -42,6 +45,24 @@ class Control:
             told = list(self._told)
         for tell in told:
             tell(reason)
+
+    def prioritize(self, priority: int) -> None:
+        """The job has another priority from now on."""
+        with self._lock:
+            if priority == self._priority:
+                return
+            self._priority = priority
+            told = list(self._told_priority)
+        for tell in told:
+            tell(priority)
+
+    def when_prioritized(self, tell: Callable[[int], None]) -> None:
+        """Have `tell` called with every new priority, at once if there was one; in the thread that tells it."""
+        with self._lock:
+            self._told_priority.append(tell)
+            priority = self._priority
+        if priority is not None:
+            tell(priority)
 
     def when_halted(self, tell: Callable[[Halt], None]) -> None:
         """Have `tell` called with every reason, at once if there is one already; in the thread that asks."""
@@ -64,6 +85,7 @@ class EndedFrame:
     failed: bool
     seconds: float
     """Of tracing."""
+    device_seconds: float
     samples: float
     """A pixel."""
 

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
 
+import structlog
 from penumbra_scene.errors import TYPE_PREFIX, Problem, make_problem
 from penumbra_scene.job import JobState, StopReason
 
@@ -70,6 +71,9 @@ class FrameSequence:
         self._lock = threading.Lock()
         self._running: dict[int, Control] = {}
         self._halted: Halt | None = None
+        self._context = structlog.contextvars.get_contextvars()
+        """Of the log: threads of their own do not inherit it."""
+        self._priority: int | None = None
         self._hopeless = False
         self._problems: dict[int, Problem] = {}
         self._crashed: BaseException | None = None
@@ -77,6 +81,7 @@ class FrameSequence:
     def run(self) -> Outcome:
         """Blocks until every frame has ended, the job has failed, or `control` asked for a stop."""
         self._control.when_halted(self._halt)
+        self._control.when_prioritized(self._prioritize)
         with ThreadPoolExecutor(self._at_once, thread_name_prefix="penumbra-frame") as pool:
             for _ in range(self._at_once):
                 pool.submit(self._work)
@@ -103,6 +108,8 @@ class FrameSequence:
             if self._halted is not None or not self._waiting:
                 return None
             frame, control = self._waiting.pop(), Control()
+            if self._priority is not None:
+                control.prioritize(self._priority)
             self._running[frame] = control
         return frame, control
 
@@ -114,7 +121,8 @@ class FrameSequence:
             show=lambda: self._book.show(frame),
         )
         try:
-            outcome = self._render(task)
+            with structlog.contextvars.bound_contextvars(frame=frame, **self._context):
+                outcome = self._render(task)
         finally:
             with self._lock:
                 self._running.pop(frame)
@@ -161,6 +169,13 @@ class FrameSequence:
         for control in controls:
             control.halt(reason)
 
+    def _prioritize(self, priority: int) -> None:
+        with self._lock:
+            self._priority = priority
+            controls = list(self._running.values())
+        for control in controls:
+            control.prioritize(priority)
+
     def _tell(self, force: bool = False) -> None:
         with self._lock:
             news = self._progress.news(time.monotonic(), force)
@@ -195,6 +210,7 @@ class JobProgress:
         self._devices: set[str] = set()
         self._finished: Mapping[str, Any] = {}
         self._seconds = sum(end.seconds for end in ended.values())
+        self._device_seconds = sum(end.device_seconds for end in ended.values())
         self._samples = sum(end.samples for end in ended.values() if not end.failed)
         self._told_at = -float("inf")
         self._most = 0.0
@@ -219,6 +235,7 @@ class JobProgress:
         """A frame needs no more work."""
         news = self._news.pop(frame, {})
         self._seconds += news.get("seconds", 0.0)
+        self._device_seconds += news.get("device_seconds", 0.0)
         if outcome.problem is not None:
             self.failures.add(frame)
             return
@@ -236,6 +253,7 @@ class JobProgress:
         parts = self.done + self.failed + sum(news.get("progress", 0.0) for news in running)
         self._most = max(self._most, parts / self.total)
         seconds = self._seconds + sum(news.get("seconds", 0.0) for news in running)
+        device_seconds = self._device_seconds + sum(news.get("device_seconds", 0.0) for news in running)
         samples = [news.get("samples_done", 0.0) for news in running]
         seen = self.done + len(samples)
         shown = self._finished or next(iter(running), {})
@@ -243,6 +261,7 @@ class JobProgress:
             "progress": min(self._most, 1.0),
             "samples_done": (self._samples + sum(samples)) / seen if seen else 0.0,
             "seconds": seconds,
+            "device_seconds": device_seconds,
             "predicted_seconds": seconds / parts * (self.total - parts) if parts > 0 else None,
             **{name: shown.get(name) for name in _OF_NEWEST},
             "devices": sorted(self._devices),

@@ -23,10 +23,18 @@ def run(host: str | None = None, port: int | None = None, data: Path | None = No
     return serve(load_settings({"host": host, "port": port, "data": data, **settings}))
 
 
-def create_key(name: str, data: Path | None = None, **settings: Any) -> tuple[str, ApiKey]:
+def create_key(
+    name: str, data: Path | None = None, quota_seconds: float | None = None, **settings: Any
+) -> tuple[str, ApiKey]:
     """A new API key: its text, which is shown this once, and what is kept of it."""
     with _keys(load_settings({"data": data, **settings})) as keys:
-        return keys.create(name)
+        return keys.create(name, quota_seconds)
+
+
+def set_quota(id_or_name: str, quota_seconds: float | None, data: Path | None = None, **settings: Any) -> int:
+    """Limits the device-seconds of the active keys of this identifier or name; how many that were."""
+    with _keys(load_settings({"data": data, **settings})) as keys:
+        return keys.set_quota(id_or_name, quota_seconds)
 
 
 def revoke_key(id_or_name: str, data: Path | None = None, **settings: Any) -> int:

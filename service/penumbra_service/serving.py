@@ -16,6 +16,7 @@ from typing import Final
 import uvicorn
 from penumbra_scene.exits import Exit
 
+from penumbra_service import logs
 from penumbra_service.app import create_app
 from penumbra_service.settings import Settings, SettingsError
 
@@ -31,10 +32,10 @@ def serve(settings: Settings) -> int:
 
     Raises SettingsError where the settings do not go together, OSError where the address cannot be had.
     """
-    logging.basicConfig(
-        level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
-    with listen(settings.host, settings.port) as listening, sole_user(settings.data):
+    logs.configure(settings.log_level, settings.log_format)
+    # On a database of its own each service must be alone; on a shared one they hold jobs, and may share the folder.
+    alone = contextlib.nullcontext() if settings.shared else sole_user(settings.data)
+    with listen(settings.host, settings.port) as listening, alone:
         config = uvicorn.Config(
             create_app(settings),
             log_config=None,

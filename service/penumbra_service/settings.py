@@ -23,6 +23,8 @@ MIN_KEY_LENGTH: Final = 32
 """Characters of an API key that somebody else has made."""
 FILE_SUFFIX: Final = "_FILE"
 """PENUMBRA_X_FILE names a file that holds the setting X: for secrets."""
+FARM_JOBS: Final = 8
+"""Jobs that share a farm: small ones do not fill it."""
 
 
 class SettingsError(ValueError):
@@ -75,11 +77,31 @@ class Settings:
     """How long a shutdown waits for the running job's snapshot."""
     log_level: str = "info"
     """debug, info, warning or error."""
+    log_format: str = "text"
+    """text or json."""
+    jobs_at_once: int = 0
+    """Jobs that share the devices; 0: one on this machine's devices, 8 on a farm."""
+    max_queued_jobs: int = 10_000
+    """Jobs that may wait."""
+    keep_days: float = 0.0
+    """Days after its end that a job with all its files is removed; 0: never."""
+    keep_assets_days: float = 30.0
+    """Days after its upload that an asset which no job names is removed; 0: never."""
+    keep_decoded_days: float = 30.0
+    """Days without use after which the decoded copy of an asset is removed; 0: never."""
 
     def __post_init__(self) -> None:
         for name in ("max_body_bytes", "max_asset_bytes", "decode_memory_bytes"):
             _require(getattr(self, name) >= 1, name, getattr(self, name), "a whole number of at least 1")
         _require(0 <= self.verify_share <= 1, "verify_share", self.verify_share, "a number from 0 to 1")
+        _require(
+            self.max_queued_jobs >= 1, "max_queued_jobs", self.max_queued_jobs, "a whole number of at least 1"
+        )
+        _require(self.jobs_at_once >= 0, "jobs_at_once", self.jobs_at_once, "a whole number of at least 0")
+        for name in ("keep_days", "keep_assets_days", "keep_decoded_days"):
+            _require(getattr(self, name) >= 0, name, getattr(self, name), "a number of at least 0")
+        formats = ("text", "json")
+        _require(self.log_format in formats, "log_format", self.log_format, ", ".join(formats))
         for name in ("decode_seconds", "heartbeat_seconds"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
         _require(
@@ -99,6 +121,16 @@ class Settings:
     def database(self) -> str:
         """The SQLAlchemy URL in use."""
         return self.database_url or f"sqlite:///{self.data.absolute() / 'penumbra.sqlite3'}"
+
+    @property
+    def shared(self) -> bool:
+        """Whether other services may use the same database: then jobs are taken over from those that died."""
+        return not self.database.startswith("sqlite")
+
+    @property
+    def slots(self) -> int:
+        """Jobs that share the devices."""
+        return self.jobs_at_once or (FARM_JOBS if self.scheduler else 1)
 
     @property
     def artifacts(self) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from penumbra_scene.frames import parse_frames
 from penumbra_scene.job import (
     FrameLinks,
     FrameStatus,
-    JobLinks,
+    JobPage,
     JobRequest,
     JobState,
     JobStatus,
@@ -24,6 +25,7 @@ _LIVE = frozenset({*Progress.model_fields, "frames"})
 _SEQUENCE = "sequence"
 """Key of a row's progress under which it keeps which frames were asked for: the request may have megabytes."""
 _HIDDEN = frozenset({_SEQUENCE})
+_HIDDEN_IN_LISTS = _HIDDEN | {"curve"}
 
 
 def initial_progress(request: JobRequest) -> dict[str, Any]:
@@ -44,18 +46,18 @@ def initial_progress(request: JobRequest) -> dict[str, Any]:
     }
 
 
-def job_links(job_id: str, several: bool) -> JobLinks:
-    """Paths of all that belongs to a job; `several`: of a job with several frames."""
+def _job_links(job_id: str, several: bool) -> dict[str, str | None]:
+    """Fields of JobLinks; `several`: of a job with several frames."""
     base = f"/v1/jobs/{job_id}"
-    return JobLinks(
-        self=base,
+    return {
+        "self": base,
         **_picture_links(base),
-        events=f"{base}/events",
-        page=f"/jobs/{job_id}",
-        frames=f"{base}/frames" if several else None,
-        contact_sheet=f"{base}/{CONTACT_SHEET}" if several else None,
-        movie=f"{base}/{MOVIE}" if several else None,
-    )
+        "events": f"{base}/events",
+        "page": f"/jobs/{job_id}",
+        "frames": f"{base}/frames" if several else None,
+        "contact_sheet": f"{base}/{CONTACT_SHEET}" if several else None,
+        "movie": f"{base}/{MOVIE}" if several else None,
+    }
 
 
 def _picture_links(base: str) -> dict[str, str]:
@@ -69,24 +71,28 @@ def _picture_links(base: str) -> dict[str, str]:
 
 def job_status(row: JobRow, *, curve: bool = False) -> JobStatus:
     """The job as the API shows it; with `curve`, also how its error fell so far, which lists leave out."""
-    return JobStatus.model_validate(
-        {
-            **{
-                key: value
-                for key, value in row.progress.items()
-                if key not in _HIDDEN and (curve or key != "curve")
-            },
-            "id": row.id,
-            "name": row.name,
-            "state": row.state,
-            "priority": row.priority,
-            "created": row.created,
-            "started": row.started,
-            "finished": row.finished,
-            "stop_reason": row.reason,
-            "links": job_links(row.id, _SEQUENCE in row.progress),
-        }
-    )
+    return JobStatus.model_validate(_fields(row, curve))
+
+
+def job_page(rows: Sequence[JobRow], following: str | None) -> JobPage:
+    """A page of the list of jobs."""
+    return JobPage.model_validate({"items": [_fields(row, False) for row in rows], "next": following})
+
+
+def _fields(row: JobRow, curve: bool) -> dict[str, Any]:
+    hidden = _HIDDEN if curve else _HIDDEN_IN_LISTS
+    return {
+        **{key: value for key, value in row.progress.items() if key not in hidden},
+        "id": row.id,
+        "name": row.name,
+        "state": row.state,
+        "priority": row.priority,
+        "created": row.created,
+        "started": row.started,
+        "finished": row.finished,
+        "stop_reason": row.reason,
+        "links": _job_links(row.id, _SEQUENCE in row.progress),
+    }
 
 
 def progress_event(row: JobRow) -> ProgressEvent:

@@ -104,19 +104,22 @@ def test_frames_that_have_ended_stay_so_and_count() -> None:
 
     def render(task: FrameTask) -> Outcome:
         begun.append(task.number)
-        task.report(JobState.RENDERING, {"progress": 0.5, "seconds": 1.0, "samples_done": 4.0})
+        task.report(
+            JobState.RENDERING, {"progress": 0.5, "seconds": 1.0, "device_seconds": 2.0, "samples_done": 4.0}
+        )
         return DONE
 
-    book = Book({1: EndedFrame(False, 5.0, 4.0), 2: EndedFrame(False, 7.0, 4.0)})
+    book = Book({1: EndedFrame(False, 5.0, 10.0, 4.0), 2: EndedFrame(False, 7.0, 14.0, 4.0)})
     outcome, _, told = run((1, 2, 3), render, book)
     assert outcome.stop_reason is StopReason.SAMPLES
     assert begun == [3]
     assert told[-1][1]["seconds"] == 13.0
+    assert told[-1][1]["device_seconds"] == 26.0
     assert told[-1][1]["frames"] == {"total": 3, "done": 3, "failed": 0}
 
 
 def test_a_run_with_nothing_left_is_done_at_once() -> None:
-    book = Book({1: EndedFrame(False, 5.0, 4.0)})
+    book = Book({1: EndedFrame(False, 5.0, 10.0, 4.0)})
     outcome, _, _ = run((1,), lambda task: pytest.fail("nothing to render"), book)
     assert outcome.stop_reason is StopReason.SAMPLES
 

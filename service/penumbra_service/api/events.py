@@ -19,6 +19,7 @@ from penumbra_service.watchers import Watch
 
 router = APIRouter(prefix="/v1", tags=["events"])
 RETRY_MILLISECONDS = 2000
+SHARED_SECONDS = 1.0
 
 
 @router.get("/jobs/{job_id}/events", response_class=EventSourceResponse)
@@ -61,7 +62,12 @@ async def _of_job(service: RenderService, job_id: str, seen: int) -> AsyncIterat
                 yield _event(row)
             if JobState(row.state).ended:
                 return
-            await watch.changed(service.settings.heartbeat_seconds)
+            await watch.changed(_patience(service))
+
+
+def _patience(service: RenderService) -> float:
+    """Seconds until a row is read again unasked: nobody rings for what another service does to a job."""
+    return SHARED_SECONDS if service.settings.shared else service.settings.heartbeat_seconds
 
 
 async def _of_all(service: RenderService) -> AsyncIterator[ServerSentEvent]:

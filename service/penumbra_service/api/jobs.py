@@ -15,7 +15,7 @@ from penumbra_service.api.bodies import parse_change, parse_for_validation, pars
 from penumbra_service.api.openapi import CHANGE_BODY, JOB_BODY
 from penumbra_service.api.problems import refuse
 from penumbra_service.service import RenderService, new_job
-from penumbra_service.status import job_status
+from penumbra_service.status import job_page, job_status
 from penumbra_service.store.ids import is_id
 from penumbra_service.store.jobs import MAX_PAGE
 
@@ -25,6 +25,7 @@ _MAX_KEY: Final = 255
 _PROBLEM: Final[dict[str, Any]] = {"model": Problem, "description": "A problem (application/problem+json)"}
 _ON_JOB: Final[dict[int | str, dict[str, Any]]] = {404: _PROBLEM, 409: _PROBLEM}
 _ON_BODY: Final[dict[int | str, dict[str, Any]]] = dict.fromkeys((400, 409, 413, 415, 422), _PROBLEM)
+_ON_NEW: Final[dict[int | str, dict[str, Any]]] = {**_ON_BODY, **dict.fromkeys((403, 429), _PROBLEM)}
 
 
 def service_of(request: Request) -> RenderService:
@@ -39,7 +40,7 @@ def owner_of(request: Request) -> str | None:
     return None if key is None else str(key.id)
 
 
-@router.post("/jobs", status_code=202, responses=_ON_BODY, openapi_extra=JOB_BODY)
+@router.post("/jobs", status_code=202, responses=_ON_NEW, openapi_extra=JOB_BODY)
 async def submit(
     request: Request,
     response: Response,
@@ -80,18 +81,20 @@ async def validate(request: Request) -> Validation:
     return await read_json(request, limit, check)
 
 
-@router.get("/jobs")
+@router.get("/jobs", response_model=JobPage)
 @router.head("/jobs", include_in_schema=False)
 def list_jobs(
     request: Request,
     state: Annotated[list[JobState] | None, Query(description="only jobs in these states")] = None,
     limit: Annotated[int, Query(ge=1, le=MAX_PAGE)] = 50,
     cursor: Annotated[str | None, Query(description="`next` of the page before")] = None,
-) -> JobPage:
+) -> Response:
     """The jobs, newest first, a page at a time."""
     rows = service_of(request).jobs.page(state or (), _job_before(cursor), limit + 1)
     following = _cursor(rows[limit - 1].id) if len(rows) > limit else None
-    return JobPage(items=tuple(job_status(row) for row in rows[:limit]), next=following)
+    page = job_page(rows[:limit], following)
+    # As it stands: to have it checked once more would take longer than all the rest.
+    return Response(page.model_dump_json(), media_type="application/json")
 
 
 def _cursor(job_id: str) -> str:

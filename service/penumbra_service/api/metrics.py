@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
 
-from penumbra_scene.job import DeviceState, JobState
+from penumbra_scene.job import DeviceState, DeviceStatus, JobState
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -45,7 +46,7 @@ class _Standing(Collector):
     def __init__(self, service: RenderService) -> None:
         self._service = service
 
-    def collect(self) -> Iterable[GaugeMetricFamily]:
+    def collect(self) -> Iterable[Metric]:
         counts = self._service.jobs.counts()
         jobs = GaugeMetricFamily("penumbra_jobs", "Jobs by state", labels=("state",))
         for state in JobState:
@@ -59,7 +60,52 @@ class _Standing(Collector):
         for device in devices:
             speed.add_metric((device.id,), device.samples_per_second or 0.0)
             crashes.add_metric((device.id,), device.crashes)
-        return jobs, states, speed, crashes
+        return jobs, states, speed, crashes, _leases(devices), *_work(self._service)
+
+
+def _leases(devices: list[DeviceStatus]) -> Metric:
+    leases = CounterMetricFamily("penumbra_leases", "Leases that devices have done", labels=("device",))
+    for device in devices:
+        leases.add_metric((device.id,), device.leases_done)
+    return leases
+
+
+def _work(service: RenderService) -> Iterable[Metric]:
+    """What the running jobs are doing. Labels name running jobs only, so that they stay few."""
+    spent = CounterMetricFamily("penumbra_device_seconds", "Seconds of devices that jobs have used")
+    spent.add_metric((), service.device_seconds)
+    error = GaugeMetricFamily("penumbra_job_relative_error", "Relative error by running job", labels=("job",))
+    fall = GaugeMetricFamily(
+        "penumbra_job_error_fall_per_second",
+        "How fast relMSE falls, by running job: theta relMSE / seconds of tracing",
+        labels=("job",),
+    )
+    frames = GaugeMetricFamily("penumbra_frames", "Frames of running jobs", labels=("state",))
+    counts = dict.fromkeys(("done", "failed", "open"), 0)
+    for row in service.queue.running:
+        progress = service.jobs.get(row.id).progress
+        _add_error(progress, row.id, error, fall)
+        several = progress.get("frames")
+        if several:
+            done, failed = several.get("done", 0), several.get("failed", 0)
+            counts["done"] += done
+            counts["failed"] += failed
+            counts["open"] += several["total"] - done - failed
+    for state, count in counts.items():
+        frames.add_metric((state,), count)
+    return spent, error, fall, frames
+
+
+def _add_error(
+    progress: Mapping[str, Any], job: str, error: GaugeMetricFamily, fall: GaugeMetricFamily
+) -> None:
+    relmse, seconds = progress.get("relmse"), progress.get("seconds", 0.0)
+    if relmse is None:
+        return
+    error.add_metric((job,), math.sqrt(relmse))
+    if seconds > 0:
+        theta = progress.get("theta")
+        fall.add_metric((job,), (1.0 if theta is None else theta) * relmse / seconds)
 
 
 class CountRequests:

@@ -14,7 +14,7 @@ from fastapi.responses import Response
 from penumbra_scene.errors import MEDIA_TYPE, Problem, ProblemError, ProblemItem, make_problem, shorten
 from starlette.exceptions import HTTPException
 
-from penumbra_service.service import ConflictError
+from penumbra_service.service import ConflictError, QueueFullError, QuotaUsedError
 from penumbra_service.store.artifacts import NoSuchArtifactError
 from penumbra_service.store.assets import AssetDigestError, AssetTooLargeError
 from penumbra_service.store.content import NoSuchAssetError
@@ -23,6 +23,8 @@ from penumbra_service.store.jobs import IdempotencyConflictError, NoSuchJobError
 
 log = logging.getLogger(__name__)
 
+RETRY_AFTER: Final = "30"
+"""Seconds after which somebody whom the queue had no room for may ask again."""
 _KINDS: Final = {
     400: "bad-request",
     401: "unauthorized",
@@ -64,6 +66,8 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _internal)
     for missing in (NoSuchJobError, NoSuchFrameError, NoSuchArtifactError, NoSuchAssetError):
         app.add_exception_handler(missing, _missing)
+    app.add_exception_handler(QueueFullError, _queue_full)
+    app.add_exception_handler(QuotaUsedError, _quota_used)
     for conflict in (ConflictError, IdempotencyConflictError):
         app.add_exception_handler(conflict, _conflict)
     app.add_exception_handler(AssetTooLargeError, _too_large)
@@ -132,6 +136,15 @@ async def _missing(_request: Request, error: Exception) -> Response:
 
 async def _conflict(_request: Request, error: Exception) -> Response:
     return problem_response(plain_problem(409, str(error)))
+
+
+async def _queue_full(_request: Request, error: Exception) -> Response:
+    problem = make_problem("queue-full", "The queue is full", 429, str(error))
+    return problem_response(problem, {"Retry-After": RETRY_AFTER})
+
+
+async def _quota_used(_request: Request, error: Exception) -> Response:
+    return problem_response(make_problem("quota-used", "The quota is used up", 403, str(error)))
 
 
 async def _too_large(_request: Request, error: Exception) -> Response:

@@ -66,6 +66,7 @@ def progress_of(
         samples_done=min(now.samples, planned) if planned else now.samples,
         samples_planned=planned,
         seconds=now.seconds,
+        device_seconds=record.trace_seconds,
         relmse=last.relmse if known and last else None,
         relative_error=math.sqrt(last.relmse) if known and last else None,
         relative_error_interval=error_interval(last, rule.confidence) if known and last else None,

@@ -87,6 +87,7 @@ class JobRunner:
     ) -> None:
         self._engine = engine
         self._task = task
+        self._priority = task.priority
         self._on_progress = on_progress
         self._on_preview = on_preview
         self._layout = choose_layout(task.scene.sampler, task.scene.stop)
@@ -130,7 +131,7 @@ class JobRunner:
 
     @property
     def priority(self) -> int:
-        return self._task.priority
+        return self._priority
 
     @property
     def scene(self) -> str:
@@ -146,6 +147,10 @@ class JobRunner:
         if self._halt is not Halt.CANCEL:
             self._halt = reason
         self._inbox.put(None)
+
+    def prioritize(self, priority: int) -> None:
+        """Higher ones go first, from the next lease on."""
+        self._priority = priority
 
     def next_lease(self, device: DeviceDescription) -> Lease | None:
         """Work for a device (engine's thread)."""

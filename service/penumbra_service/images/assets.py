@@ -6,6 +6,7 @@ SHA-256, so that a file is decoded once and a broken one harms nobody.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -67,6 +68,8 @@ class FolderAssets:
             kept = self._cache / f"v{CACHE_VERSION}" / kind / digest
             if not kept.is_dir():
                 self._decode(path, kind, kept)
+            with contextlib.suppress(OSError):
+                os.utime(kept)  # used just now: housekeeping removes what was not for long
             return {file.stem: np.load(file, mmap_mode="r") for file in kept.glob("*.npy")}
         except AssetError as error:
             raise AssetError(f"{_title(ref, kind)}: {error}") from None
@@ -143,6 +146,12 @@ class FolderAssets:
                 f"its decoder died ({_end(done.returncode)}): the file is broken, or takes more than "
                 f"{self._limits.memory_bytes >> 20} MiB of memory"
             )
+
+
+def decoded_entries(assets_folder: Path) -> list[Path]:
+    """Decoded copies of assets: a folder for each, whose time of change is that of its last use."""
+    cache = assets_folder / ".decoded"
+    return [path for path in cache.glob("v*/*/*") if path.is_dir() and not path.name.startswith(".")]
 
 
 def _format(path: Path, kind: str) -> str:

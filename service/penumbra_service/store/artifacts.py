@@ -3,6 +3,7 @@ default."""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -35,17 +36,21 @@ class Artifacts:
     def __init__(self, url: str) -> None:
         """`url` as fsspec takes it: a folder's path, memory://..., s3://bucket/prefix."""
         self._files: Any
-        self._files, root = fsspec.core.url_to_fs(url)
+        # Others write as well: what was listed once is no answer.
+        self._files, root = fsspec.core.url_to_fs(url, use_listings_cache=False)
         self._root = str(root).rstrip("/")
+        self._local = isinstance(self._files, LocalFileSystem)
 
     def put(self, job_id: str, name: str, source: Path) -> None:
         """Stores the file `source`, which is left alone, replacing what was there. `name` may have folders."""
         path = self._path(job_id, name)
         self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
-        aside = f"{path}.part"
+        # A store of objects shows one once it is whole; to rename there would be to copy.
+        aside = f"{path}.{os.getpid()}.part" if self._local else path
         with source.open("rb") as reader, self._files.open(aside, "wb") as writer:
             shutil.copyfileobj(reader, writer, CHUNK_BYTES)
-        self._files.mv(aside, path)
+        if self._local:
+            self._files.mv(aside, path)
 
     def info(self, job_id: str, name: str) -> ArtifactInfo:
         """Raises NoSuchArtifactError."""
@@ -62,7 +67,7 @@ class Artifacts:
     def local_path(self, job_id: str, name: str) -> Path | None:
         """Where the bytes lie if the file system is this machine's, else None. Raises NoSuchArtifactError."""
         self.info(job_id, name)
-        return Path(self._path(job_id, name)) if isinstance(self._files, LocalFileSystem) else None
+        return Path(self._path(job_id, name)) if self._local else None
 
     def read(self, job_id: str, name: str) -> Iterator[bytes]:
         """The bytes, in chunks. Raises NoSuchArtifactError before the first one."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -12,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from sqlalchemy import insert, select
+from sqlalchemy import delete, insert, select
 
 from penumbra_service.store.content import NoSuchAssetError, asset_file
 from penumbra_service.store.database import Database
@@ -107,10 +109,26 @@ class AssetStore:
             upload.close()
             upload.path.unlink(missing_ok=True)
 
-    def sweep(self) -> None:
-        """Removes uploads that an earlier process did not live to finish. None may be under way."""
+    def sweep(self, older_seconds: float = 0.0) -> None:
+        """Removes uploads that an earlier process did not live to finish: those that were not written to for so
+        long. None younger may be under way where it is 0."""
         for path in self._folder.glob(f"{_UPLOAD}*"):
-            path.unlink(missing_ok=True)
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - path.stat().st_mtime >= older_seconds:
+                    path.unlink()
+
+    def before(self, moment: datetime) -> list[StoredAsset]:
+        """Assets that were uploaded before a moment."""
+        with self._database.read() as connection:
+            return [
+                _asset(row) for row in connection.execute(select(assets).where(assets.c.created < moment))
+            ]
+
+    def remove(self, sha256: str) -> None:
+        """Forgets an asset."""
+        with self._database.write() as connection:
+            connection.execute(delete(assets).where(assets.c.sha256 == sha256))
+        asset_file(self._folder, sha256).unlink(missing_ok=True)
 
     def place(self, upload: Upload, expected: str | None = None) -> bool:
         """Files the bytes under their digest; whether they are new. Raises AssetDigestError.

@@ -18,6 +18,8 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url
 
 BUSY_MILLISECONDS: Final = 10_000
 MIGRATIONS: Final = Path(__file__).parent / "migrations"
+MIGRATION_LOCK: Final = 0x50454E554D425241
+"""Any number that nobody else takes for a lock of this database: "PENUMBRA" in ASCII."""
 _WRITES: Final = "penumbra_writes"
 
 
@@ -28,13 +30,16 @@ class Database:
         self.engine = _engine(url)
         self._writer = self.engine.execution_options(**{_WRITES: True})
 
-    def migrate(self) -> None:
-        """Runs every migration that this database has not seen yet."""
+    def migrate(self, version: str = "head") -> None:
+        """Runs every migration up to `version` that this database has not seen yet. Of several services that start at
+        once the first does it; the others wait."""
         config = Config()
         config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
         with self.write() as connection:
+            if self.engine.dialect.name == "postgresql":
+                connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({MIGRATION_LOCK})")
             config.attributes["connection"] = connection
-            command.upgrade(config, "head")
+            command.upgrade(config, version)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:

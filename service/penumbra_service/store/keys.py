@@ -37,6 +37,15 @@ class ApiKey:
     hint: str
     created: datetime
     revoked: datetime | None
+    quota_seconds: float | None = None
+    """Device-seconds that its jobs may use in all; None: as many as they like."""
+    used_seconds: float = 0.0
+    """Device-seconds that its jobs have used."""
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no more jobs are accepted from it."""
+        return self.quota_seconds is not None and self.used_seconds >= self.quota_seconds
 
 
 def _digest(token: str) -> bytes:
@@ -44,7 +53,11 @@ def _digest(token: str) -> bytes:
 
 
 def _key(row: Any) -> ApiKey:
-    return ApiKey(row.id, row.name, row.hint, row.created, row.revoked)
+    return ApiKey(row.id, row.name, row.hint, row.created, row.revoked, row.quota_seconds, row.used_seconds)
+
+
+def _named(id_or_name: str) -> Any:
+    return or_(api_keys.c.id == id_or_name, api_keys.c.name == id_or_name)
 
 
 class KeyStore:
@@ -53,7 +66,7 @@ class KeyStore:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def create(self, name: str) -> tuple[str, ApiKey]:
+    def create(self, name: str, quota_seconds: float | None = None) -> tuple[str, ApiKey]:
         """A new key: its text, which is not kept, and what is. Raises KeyNameError.
 
         Active keys have different names, so that to revoke one by its name ends no other.
@@ -62,7 +75,7 @@ class KeyStore:
             accepted = f"1 to {MAX_NAME} printable characters"
             raise KeyNameError(f"a key's name: given {name[:80]!r}, accepted: {accepted}")
         token = PREFIX + secrets.token_urlsafe(RANDOM_BYTES)
-        key = ApiKey(new_id(), name, token[:HINT_LENGTH], datetime.now(UTC), None)
+        key = ApiKey(new_id(), name, token[:HINT_LENGTH], datetime.now(UTC), None, quota_seconds)
         namesake = select(api_keys.c.id).where(api_keys.c.name == name, api_keys.c.revoked.is_(None))
         with self._database.write() as connection:
             if connection.execute(namesake).first() is not None:
@@ -71,7 +84,13 @@ class KeyStore:
                 )
             connection.execute(
                 insert(api_keys).values(
-                    id=key.id, name=name, hint=key.hint, created=key.created, digest=_digest(token)
+                    id=key.id,
+                    name=name,
+                    hint=key.hint,
+                    created=key.created,
+                    digest=_digest(token),
+                    quota_seconds=quota_seconds,
+                    used_seconds=0.0,
                 )
             )
         return token, key
@@ -97,10 +116,32 @@ class KeyStore:
             row = connection.execute(query).one_or_none()
         return None if row is None else _key(row)
 
+    def get(self, key_id: str) -> ApiKey | None:
+        """The key with this identifier."""
+        with self._database.read() as connection:
+            row = connection.execute(select(api_keys).where(api_keys.c.id == key_id)).one_or_none()
+        return None if row is None else _key(row)
+
+    def set_quota(self, id_or_name: str, quota_seconds: float | None) -> int:
+        """Limits the device-seconds of the active keys with this identifier or name; None lifts the limit. How many
+        keys those were."""
+        change = update(api_keys).where(_named(id_or_name), api_keys.c.revoked.is_(None))
+        with self._database.write() as connection:
+            return connection.execute(change.values(quota_seconds=quota_seconds)).rowcount
+
+    def charge(self, key_id: str, device_seconds: float) -> None:
+        """Its jobs have used so much more."""
+        change = update(api_keys).where(api_keys.c.id == key_id)
+        with self._database.write() as connection:
+            connection.execute(change.values(used_seconds=api_keys.c.used_seconds + device_seconds))
+
     def revoke(self, id_or_name: str) -> int:
         """Ends the key with this identifier, or all with this name; how many that were."""
-        match = or_(api_keys.c.id == id_or_name, api_keys.c.name == id_or_name)
-        change = update(api_keys).where(match, api_keys.c.revoked.is_(None)).values(revoked=datetime.now(UTC))
+        change = (
+            update(api_keys)
+            .where(_named(id_or_name), api_keys.c.revoked.is_(None))
+            .values(revoked=datetime.now(UTC))
+        )
         with self._database.write() as connection:
             return connection.execute(change).rowcount
 

@@ -10,6 +10,7 @@ from sqlalchemy import (
     BigInteger,
     Column,
     DateTime,
+    Float,
     ForeignKey,
     Index,
     Integer,
@@ -56,6 +57,8 @@ api_keys = Table(
     Column("hint", String(16), nullable=False),
     Column("created", UtcTime(), nullable=False),
     Column("revoked", UtcTime()),
+    Column("quota_seconds", Float),
+    Column("used_seconds", Float, nullable=False, server_default="0"),
 )
 
 jobs = Table(
@@ -65,7 +68,6 @@ jobs = Table(
     Column("state", String(20), nullable=False),
     Column("priority", Integer, nullable=False),
     Column("name", String(200), nullable=False),
-    Column("request", Text, nullable=False),
     Column("progress", JSON, nullable=False),
     Column("revision", Integer, nullable=False),
     Column("crashes", Integer, nullable=False),
@@ -78,9 +80,21 @@ jobs = Table(
     Column("updated", UtcTime(), nullable=False),
     Column("started", UtcTime()),
     Column("finished", UtcTime()),
+    Column("holder", String(ID_LENGTH)),
+    Column("heartbeat", UtcTime()),
     UniqueConstraint("idempotency_scope", "idempotency_key", name="one_job_per_idempotency_key"),
     Index("jobs_by_queue_order", "state", "priority", "id"),
+    Index("jobs_by_state", "state", "id"),
+    Index("jobs_by_end", "finished"),
 )
+
+requests = Table(
+    "requests",
+    metadata,
+    Column("job", String(ID_LENGTH), ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("text", Text, nullable=False),
+)
+"""What jobs ask for. It may have megabytes, through which SQLite would have to read for each row of a list."""
 
 frames = Table(
     "frames",

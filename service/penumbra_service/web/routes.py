@@ -24,7 +24,13 @@ from starlette.datastructures import UploadFile
 from penumbra_service.api.bodies import Submission, parse_submission
 from penumbra_service.api.guard import COOKIE, LOGIN_PATH
 from penumbra_service.api.reference import in_html, routes_by_tag
-from penumbra_service.service import ConflictError, RenderService, new_job
+from penumbra_service.service import (
+    ConflictError,
+    QueueFullError,
+    QuotaUsedError,
+    RenderService,
+    new_job,
+)
 from penumbra_service.store.ids import is_id
 from penumbra_service.store.jobs import JobRow, NoSuchJobError
 from penumbra_service.web import words
@@ -199,7 +205,12 @@ async def submit(request: Request) -> Response:
         return await run_in_threadpool(_checked, request, text, sent)
     key = getattr(request.state, "api_key", None)
     made = new_job(sent.request, sent.text, sent.digest, None if key is None else str(key.id), None)
-    row, _ = await run_in_threadpool(service.submit, made)
+    try:
+        row, _ = await run_in_threadpool(service.submit, made)
+    except (QueueFullError, QuotaUsedError) as error:
+        return _page(
+            request, "missing.html", 403 if isinstance(error, QuotaUsedError) else 429, what=str(error)
+        )
     return RedirectResponse(f"/jobs/{row.id}", 303)
 
 

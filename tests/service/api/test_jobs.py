@@ -9,7 +9,7 @@ import pytest
 from fastapi.testclient import TestClient
 from penumbra_scene.job import JobPage, JobStatus, Validation
 from penumbra_scene.parse import parse_json
-from penumbra_service import service as service_module
+from penumbra_service import job_queue
 from penumbra_service.app import create_app
 
 
@@ -246,7 +246,7 @@ def test_the_queue_outlives_a_ledger_that_fails_for_a_while(
     client: TestClient, scene: dict[str, Any], runner: Any, wait_for: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As with a full disk: the job's end cannot be written, nor that it failed."""
-    monkeypatch.setattr(service_module, "RETRY_SECONDS", 0.01)
+    monkeypatch.setattr(job_queue, "RETRY_SECONDS", 0.01)
     store = client.app.state.service.jobs  # type: ignore[attr-defined]
     move, refused = store.move, []
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import threading
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from penumbra_service.store.database import Database
+from alembic.script import ScriptDirectory
+from penumbra_service.store.database import MIGRATIONS, Database
 from penumbra_service.store.ids import LENGTH, IdMaker, encode, is_id
 from penumbra_service.store.jobs import NewJob, SqlJobStore
 from penumbra_service.store.keys import PREFIX, KeyNameError, KeyStore
@@ -16,12 +18,14 @@ from penumbra_service.store.schema import jobs, metadata
 from sqlalchemy import func, select
 
 
-def test_sqlite_is_set_up_for_several_writers(database: Database) -> None:
+def test_sqlite_is_set_up_for_several_writers(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'a.sqlite3'}")
     with database.read() as connection:
         pragma = {
             name: connection.exec_driver_sql(f"PRAGMA {name}").scalar_one()
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
         }
+    database.close()
     assert pragma == {"journal_mode": "wal", "synchronous": 1, "foreign_keys": 1, "busy_timeout": 10_000}
 
 
@@ -31,9 +35,54 @@ def test_migrations_lead_to_the_tables_in_use(database: Database) -> None:
         assert compare_metadata(context, metadata) == []
 
 
-def test_migrating_twice_changes_nothing(tmp_path: Path) -> None:
+def test_a_folder_is_made_for_sqlite(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'deep' / 'a.sqlite3'}")
+    database.migrate()
+    database.close()
+
+
+def test_every_version_leads_to_the_newest_and_keeps_what_is_there(database_url: str) -> None:
+    """Up from the first version, one step at a time, with a job, a key and an asset in the tables."""
+    database = Database(database_url)
+    database.migrate("0001")
+    now = (
+        "2025-01-02 03:04:05+00:00"
+        if database.engine.dialect.name == "postgresql"
+        else "2025-01-02 03:04:05.000000"
+    )
+    with database.write() as connection:
+        connection.exec_driver_sql(
+            f"INSERT INTO api_keys (id, name, digest, hint, created) VALUES ('K', 'laptop', 'abc', 'pnb_', '{now}')"
+        )
+        connection.exec_driver_sql(
+            "INSERT INTO jobs (id, state, priority, name, request, progress, revision, crashes, owner, body_digest, "
+            f"created, updated) VALUES ('J', 'done', 0, 'old', '{{}}', '{{\"width\": 5}}', 3, 0, 'K', 'd', '{now}', '{now}')"
+        )
+        connection.exec_driver_sql(
+            "INSERT INTO assets (sha256, bytes, kind, format, detail, created) "
+            f"VALUES ('a', 1, 'mesh', 'obj', '1 triangle', '{now}')"
+        )
+    scripts = ScriptDirectory(str(MIGRATIONS))
+    versions = [script.revision for script in reversed(list(scripts.walk_revisions()))]
+    assert versions[0] == "0001"
+    for version in versions[1:]:
+        database.migrate(version)
+    database.migrate()
+    row = SqlJobStore(database).get("J")
+    assert (row.name, row.progress, row.holder) == ("old", {"width": 5}, None)
+    assert SqlJobStore(database).request("J") == "{}"
+    assert row.created == datetime(2025, 1, 2, 3, 4, 5, tzinfo=UTC)
+    (key,) = KeyStore(database).list()
+    assert (key.name, key.quota_seconds, key.used_seconds, key.exhausted) == ("laptop", None, 0.0, False)
+    with database.read() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, metadata) == []
+    database.close()
+
+
+def test_migrating_twice_changes_nothing(database_url: str) -> None:
     for _ in range(2):
-        database = Database(f"sqlite:///{tmp_path / 'deep' / 'a.sqlite3'}")
+        database = Database(database_url)
         database.migrate()
         SqlJobStore(database).create(NewJob("{}", "d" * 64, "kept"))
         database.close()
@@ -64,7 +113,7 @@ def test_a_writer_waits_for_another(database: Database) -> None:
     def add() -> None:
         for _ in range(20):
             with database.write() as connection:
-                count = connection.execute(select(jobs.c.progress)).scalar_one()["count"]
+                count = connection.execute(select(jobs.c.progress).with_for_update()).scalar_one()["count"]
                 connection.execute(jobs.update().values(progress={"count": count + 1}))
 
     threads = [threading.Thread(target=add) for _ in range(4)]
@@ -123,3 +172,23 @@ def test_a_name_is_one_active_keys(database: Database) -> None:
     assert keys.revoke("laptop") == 1
     keys.create("laptop")
     assert [k.revoked is None for k in keys.list()] == [False, True]
+
+
+def test_quotas_count_what_jobs_used(database: Database) -> None:
+    keys = KeyStore(database)
+    _, free = keys.create("free")
+    _, bot = keys.create("bot", quota_seconds=10.0)
+    keys.charge(bot.id, 6.5)
+    keys.charge(free.id, 1e6)
+    found = keys.get(bot.id)
+    assert found is not None
+    assert (found.used_seconds, found.exhausted) == (6.5, False)
+    keys.charge(bot.id, 3.5)
+    assert keys.get(bot.id).exhausted  # type: ignore[union-attr]
+    assert not keys.get(free.id).exhausted  # type: ignore[union-attr]
+    assert keys.set_quota("bot", 20.0) == 1
+    assert not keys.get(bot.id).exhausted  # type: ignore[union-attr]
+    assert keys.set_quota("bot", None) == 1
+    assert keys.get(bot.id).quota_seconds is None  # type: ignore[union-attr]
+    assert keys.set_quota("nobody", 1.0) == 0
+    assert keys.get("nobody") is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,10 @@ from penumbra_service.store.database import Database
 from penumbra_service.store.ids import new_id
 
 
-@pytest.fixture(params=["folder", "memory"])
+@pytest.fixture(params=["folder", "memory", "s3"])
 def artifacts(request: pytest.FixtureRequest, tmp_path: Path) -> Artifacts:
+    if request.param == "s3":
+        return Artifacts(request.getfixturevalue("s3_url"))
     return Artifacts(str(tmp_path / "results") if request.param == "folder" else f"memory://{new_id()}")
 
 
@@ -51,6 +54,17 @@ def test_artifacts_may_lie_in_folders_of_their_job(artifacts: Artifacts, tmp_pat
         artifacts.put("a/b", "result.exr", source)
     artifacts.remove("job")
     assert not artifacts.exists("job", "frames/0002/result.exr")
+
+
+def test_what_another_process_stores_is_seen_at_once(s3_url: str, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    one, other = Artifacts(s3_url), Artifacts(s3_url)
+    for text in (b"first", b"second"):
+        assert not other.exists("job", f"{text.decode()}.png")
+        source.write_bytes(text)
+        one.put("job", f"{text.decode()}.png", source)
+        assert b"".join(other.read("job", f"{text.decode()}.png")) == text
+    assert other.local_path("job", "first.png") is None
 
 
 @pytest.mark.parametrize(
@@ -122,3 +136,20 @@ def test_what_is_no_digest_names_no_file(assets: AssetStore, digest: str) -> Non
         assets.path(digest)
     with pytest.raises(NoSuchAssetError):
         asset_file(assets.folder, digest)
+
+
+def test_assets_are_removed_and_uploads_that_stopped_are_swept(assets: AssetStore) -> None:
+    stored, _ = upload(assets, b"abc")
+    assert [asset.sha256 for asset in assets.before(datetime.now(UTC) + timedelta(seconds=1))] == [
+        stored.sha256
+    ]
+    assert assets.before(stored.created) == []
+    assets.remove(stored.sha256)
+    with pytest.raises(NoSuchAssetError):
+        assets.get(stored.sha256)
+    assert not asset_file(assets.folder, stored.sha256).exists()
+    (assets.folder / ".upload-x").write_bytes(b"")
+    assets.sweep(3600)
+    assert leftovers(assets) == [".upload-x"]
+    assets.sweep()
+    assert leftovers(assets) == []

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from penumbra_service.store.database import Database
+from penumbra_service.store.frames import FrameStore
 from penumbra_service.store.jobs import (
     IdempotencyConflictError,
     JobStore,
@@ -138,3 +139,73 @@ def test_of_many_who_take_a_job_one_gets_it(store: JobStore) -> None:
     for thread in threads:
         thread.join()
     assert sum(row is not None for row in taken) == 1
+
+
+def test_of_many_who_claim_each_gets_jobs_of_its_own_in_the_order_of_the_queue(store: JobStore) -> None:
+    low = [store.create(job())[0].id for _ in range(12)]
+    high = store.create(job(priority=5))[0].id
+    first = store.claim(("queued",), "compiling", "me")
+    assert first is not None
+    assert (first.id, first.state, first.holder) == (high, "compiling", "me")
+    assert first.heartbeat is not None
+    assert first.started is not None
+    taken: list[str] = []
+
+    def claim(name: str) -> None:
+        while (row := store.claim(("queued",), "compiling", name)) is not None:
+            taken.append(row.id)
+            assert row.holder == name
+
+    threads = [threading.Thread(target=claim, args=(f"service {n}",)) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(taken) == sorted(low)
+
+
+def test_only_silent_holders_lose_their_jobs(store: JobStore) -> None:
+    for name in ("dead", "alive"):
+        store.create(job(name=name))
+    rows = [store.claim(("queued",), "compiling", f"{n}") for n in range(2)]
+    dead, alive = (next(r for r in rows if r and r.name == name) for name in ("dead", "alive"))
+    moment = datetime.now(UTC)
+    assert alive.holder is not None
+    assert store.beat(alive.holder, ("compiling",)) == 1
+    assert store.beat("nobody", ("compiling",)) == 0
+    assert [row.id for row in store.release(("compiling",), "queued", moment)] == [dead.id]
+    assert store.get(dead.id).holder is None
+    assert store.get(alive.id).state == "compiling"
+    # who lost its job cannot move it any more, who holds one can
+    assert store.move(dead.id, ("queued",), "done", holder=dead.holder) is None
+    assert store.move(alive.id, ("compiling",), "done", holder=alive.holder) is not None
+    assert store.release(("done",), "queued", None) != []
+
+
+def test_a_refused_job_leaves_nothing_and_a_repeated_one_is_not_asked_about(store: JobStore) -> None:
+    def refuse(_: NewJob) -> None:
+        raise ValueError("full")
+
+    with pytest.raises(ValueError, match="full"):
+        store.create(job(idempotency_key="k"), refuse)
+    assert store.page() == []
+    made, _ = store.create(job(idempotency_key="k"))
+    assert store.create(job(idempotency_key="k"), refuse) == (made, False)
+
+
+def test_old_jobs_are_found_and_removed_with_their_frames(store: JobStore, database: Database) -> None:
+    frames = FrameStore(database)
+    now = datetime.now(UTC)
+    ids = [store.create(job(request=f'{{"asset": "sha256:{n}"}}'))[0].id for n in range(3)]
+    for n, job_id in enumerate(ids):
+        store.move(job_id, ("queued",), "done", finished=now - timedelta(days=n))
+        frames.put(job_id, 1, "done", {})
+    store.create(job())
+    assert [row.id for row in store.ended_before(("done",), now - timedelta(hours=1))] == [ids[2], ids[1]]
+    assert store.names_asset("sha256:1")
+    store.remove(ids[1])
+    assert not store.names_asset("sha256:1")
+    assert frames.of_job(ids[1]) == []
+    assert frames.of_job(ids[2]) != []
+    assert store.counts() == {"done": 2, "queued": 1}
+    assert store.count(("done", "queued")) == 3

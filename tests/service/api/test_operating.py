@@ -1,0 +1,210 @@
+"""Operating a service: limits, quotas, metrics, several jobs at once, several services on one database."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from penumbra_scene.job import JobState, StopReason
+from penumbra_service import job_queue
+from penumbra_service.app import create_app
+from penumbra_service.running import Outcome, Task
+from penumbra_service.service import RenderService
+from penumbra_service.settings import Settings
+
+
+def test_a_full_queue_refuses_with_its_limit(
+    settings: Settings, runner: Any, scene: dict[str, Any], until: Any
+) -> None:
+    app = create_app(replace(settings, max_queued_jobs=2), runner)
+    with TestClient(app, base_url="http://127.0.0.1") as client:
+        first = client.post("/v1/jobs", json=scene, headers={"Idempotency-Key": "a"}).json()["id"]
+        until(lambda: client.get(f"/v1/jobs/{first}").json()["state"] == "rendering")
+        assert [client.post("/v1/jobs", json=scene).status_code for _ in range(2)] == [202, 202]
+        refused = client.post("/v1/jobs", json=scene)
+        assert refused.status_code == 429
+        assert refused.json()["type"].endswith(":queue-full")
+        assert "2 jobs wait" in refused.json()["detail"]
+        assert int(refused.headers["retry-after"]) > 0
+        again = client.post("/v1/jobs", json=scene, headers={"Idempotency-Key": "a"})
+        assert (again.status_code, again.json()["id"]) == (202, first)
+
+
+def test_a_used_up_quota_refuses_new_jobs_and_says_what_was_used(
+    settings: Settings, scene: dict[str, Any], until: Any
+) -> None:
+    runner = Spender()
+    with TestClient(create_app(settings, runner), base_url="http://127.0.0.1") as client:
+        service: RenderService = client.app.state.service  # type: ignore[attr-defined]
+        token, key = service.keys.create("render-bot", quota_seconds=25.0)
+        headers = {"Authorization": f"Bearer {token}"}
+        for used in (10.0, 20.0, 30.0):  # what was begun within the quota is finished
+            job = client.post("/v1/jobs", json=scene, headers=headers)
+            assert job.status_code == 202
+            path = f"/v1/jobs/{job.json()['id']}"
+            until(lambda path=path: client.get(path, headers=headers).json()["state"] == "done")
+            assert service.keys.get(key.id).used_seconds == used  # type: ignore[union-attr]
+        refused = client.post("/v1/jobs", json=scene, headers=headers)
+        assert refused.status_code == 403
+        assert refused.json()["type"].endswith(":quota-used")
+        assert "'render-bot' has a quota of 25 device-seconds and has used 30.0" in refused.json()["detail"]
+        service.keys.set_quota("render-bot", 100.0)
+        assert client.post("/v1/jobs", json=scene, headers=headers).status_code == 202
+
+
+class Spender:
+    """Renders nothing, and uses ten device-seconds for it, told in two reports."""
+
+    problem: str | None = None
+
+    def start(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+    def devices(self) -> list[Any]:
+        return []
+
+    def run(self, task: Task) -> Outcome:
+        for seconds in (4.0, 10.0):
+            task.report(
+                JobState.RENDERING,
+                {
+                    "device_seconds": seconds,
+                    "seconds": seconds / 2,
+                    "relmse": 0.04,
+                    "theta": 1.25,
+                    "progress": 0.5,
+                },
+            )
+        return Outcome(StopReason.SAMPLES)
+
+
+class Waiting(Spender):
+    """Holds what it runs until it is let go."""
+
+    def __init__(self) -> None:
+        self.held: dict[str, Task] = {}
+        self.free: set[str] = set()
+
+    def run(self, task: Task) -> Outcome:
+        super().run(task)
+        self.held[task.job_id] = task
+        try:
+            while task.job_id not in self.free:
+                if task.control.reason is not None:
+                    return Outcome()
+                job_queue.threading.Event().wait(0.01)
+        finally:
+            del self.held[task.job_id]
+        return Outcome(StopReason.SAMPLES)
+
+
+def test_several_jobs_share_the_devices_and_the_least_urgent_makes_room(
+    settings: Settings, scene: dict[str, Any], until: Any
+) -> None:
+    runner = Waiting()
+    app = create_app(replace(settings, jobs_at_once=2), runner)
+    with TestClient(app, base_url="http://127.0.0.1") as client:
+
+        def submit(priority: int) -> str:
+            return str(client.post("/v1/jobs", json={"scene": scene, "priority": priority}).json()["id"])
+
+        low, middle = submit(1), submit(2)
+        until(lambda: runner.held.keys() == {low, middle})
+        urgent = submit(3)
+        until(lambda: runner.held.keys() == {urgent, middle})
+        assert client.get(f"/v1/jobs/{low}").json()["state"] == "queued"
+        told: list[int] = []
+        runner.held[middle].control.when_prioritized(told.append)
+        client.patch(f"/v1/jobs/{middle}", json={"priority": 7})
+        until(lambda: told == [7])
+        runner.free |= {low, middle, urgent}
+        for job in (low, middle, urgent):
+            until(lambda job=job: client.get(f"/v1/jobs/{job}").json()["state"] == "done")
+
+
+def test_metrics_tell_of_work_and_error(settings: Settings, scene: dict[str, Any], until: Any) -> None:
+    runner = Waiting()
+    with TestClient(create_app(settings, runner), base_url="http://127.0.0.1") as client:
+        job = client.post("/v1/jobs", json={"scene": scene, "frames": "1-4"}).json()["id"]
+        until(lambda: job in runner.held)
+        text = client.get("/metrics").text
+        assert 'penumbra_jobs{state="rendering"} 1.0' in text
+        assert "penumbra_device_seconds_total 10.0" in text
+        assert f'penumbra_job_relative_error{{job="{job}"}} 0.2' in text
+        assert f'penumbra_job_error_fall_per_second{{job="{job}"}} 0.01' in text  # 1.25 * 0.04 / 5
+        assert 'penumbra_frames{state="open"} 4.0' in text
+        runner.free.add(job)
+        until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] == "done")
+        assert "penumbra_job_relative_error{" not in client.get("/metrics").text
+
+
+@pytest.fixture
+def two(
+    postgres_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[list[TestClient], list[Waiting]]]:
+    """Two services on one database and one folder."""
+    monkeypatch.setattr(job_queue, "BEAT_SECONDS", 0.05)
+    monkeypatch.setattr(job_queue, "LOOK_SECONDS", 0.05)
+    settings = Settings(data=tmp_path, database_url=postgres_url, shutdown_seconds=5.0)
+    runners = [Waiting(), Waiting()]
+    with ExitStack() as stack:
+        clients = [
+            stack.enter_context(TestClient(create_app(settings, runner), base_url="http://127.0.0.1"))
+            for runner in runners
+        ]
+        yield clients, runners
+
+
+def test_two_services_on_one_database_share_the_queue(
+    two: tuple[list[TestClient], list[Waiting]], scene: dict[str, Any], until: Callable[[Any], None]
+) -> None:
+    clients, runners = two
+    ids = [clients[0].post("/v1/jobs", json=scene).json()["id"] for _ in range(6)]
+    until(lambda: len(runners[0].held) == len(runners[1].held) == 1)
+    held = [next(iter(runner.held)) for runner in runners]
+    assert len(set(held)) == 2
+    # each may steer what the other holds
+    assert clients[0].post(f"/v1/jobs/{held[1]}/pause").json()["state"] == "paused"
+    until(lambda: held[1] not in runners[1].held)
+    clients[1].post(f"/v1/jobs/{held[0]}/cancel")
+    until(lambda: held[0] not in runners[0].held)
+    clients[0].post(f"/v1/jobs/{held[1]}/resume")
+    for runner in runners:
+        runner.free |= set(ids)
+    for job in ids:
+        wanted = "cancelled" if job == held[0] else "done"
+        until(lambda job=job, wanted=wanted: clients[1].get(f"/v1/jobs/{job}").json()["state"] == wanted)
+
+
+def test_a_dead_services_job_is_taken_over_and_the_dead_one_cannot_touch_it(
+    two: tuple[list[TestClient], list[Waiting]],
+    scene: dict[str, Any],
+    until: Callable[[Any], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clients, runners = two
+    services: list[RenderService] = [client.app.state.service for client in clients]  # type: ignore[attr-defined]
+    job = clients[0].post("/v1/jobs", json=scene).json()["id"]
+    until(lambda: job in runners[0].held or job in runners[1].held)
+    dead, heir = (0, 1) if job in runners[0].held else (1, 0)
+    monkeypatch.setattr(services[dead].jobs, "beat", lambda *_: 0)  # as if it were stopped
+    monkeypatch.setattr(services[dead].queue, "_look", lambda *_: None)
+    monkeypatch.setattr(services[dead].queue, "_release", lambda: None)
+    task = runners[dead].held[job]
+    monkeypatch.setattr(job_queue, "DEAD_SECONDS", 0.3)
+    until(lambda: job in runners[heir].held)
+    task.report(JobState.FINISHING, {"progress": 0.9})  # it wakes up
+    runners[dead].free.add(job)
+    until(lambda: job not in runners[dead].held)
+    status = clients[heir].get(f"/v1/jobs/{job}").json()
+    assert (status["state"], status["progress"]) == ("rendering", 0.5)
+    runners[heir].free.add(job)
+    until(lambda: clients[dead].get(f"/v1/jobs/{job}").json()["state"] == "done")
