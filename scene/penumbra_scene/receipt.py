@@ -173,6 +173,8 @@ class Receipt(Model):
     counts: Counts
     effects_in: tuple[EffectReport, ...] = ()
     effects_out: tuple[EffectReport, ...] = ()
+    not_covered: tuple[EffectReport, ...] = ()
+    """Light that this render leaves out, or finds by chance alone; neither the picture nor its error bars know of it."""
     devices: tuple[ReceiptDevice, ...] = ()
     bit_class: str
     """On a device of this class the plan below gives the same bits again; 'mixed' if there were several."""

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from penumbra_kernels.features import Features, analyse
+from penumbra_kernels.limits import Limit, not_covered
 from penumbra_scene.parse import parse_scene
 
 
@@ -14,13 +15,19 @@ def explain(scene: Path, time: float = 0.0, *, as_json: bool = False) -> str:
 
     Raises OSError where the file cannot be read, ProblemError where it is not a scene.
     """
-    features = analyse(parse_scene(scene.read_bytes(), allow_files=True), time)
-    return _json(features) if as_json else _lines(features)
+    model = parse_scene(scene.read_bytes(), allow_files=True)
+    features, limits = analyse(model, time), not_covered(model)
+    return _json(features, limits) if as_json else "\n".join([_lines(features), *_limits(limits)])
 
 
-def _json(features: Features) -> str:
+def _limits(limits: tuple[Limit, ...]) -> list[str]:
+    return [f"not covered: {limit.name}, because {limit.reason}" for limit in limits]
+
+
+def _json(features: Features, limits: tuple[Limit, ...]) -> str:
     verdicts = [{"effect": v.name, "in": v.present, "reason": v.reason} for v in features.verdicts]
-    return json.dumps({"sampler": features.sampler, "effects": verdicts}, indent=2)
+    left_out = [{"name": limit.name, "reason": limit.reason} for limit in limits]
+    return json.dumps({"sampler": features.sampler, "effects": verdicts, "not_covered": left_out}, indent=2)
 
 
 def _lines(features: Features) -> str:

@@ -116,6 +116,7 @@ def attributes(receipt: Receipt) -> dict[str, str | int | float]:
         "filter": receipt.film.filter.model_dump_json(),
         "effects": " ".join(effect.name for effect in receipt.effects_in),
         "effectsLeftOut": " ".join(effect.name for effect in receipt.effects_out),
+        "notCovered": "; ".join(limit.name for limit in receipt.not_covered),
         "seconds": receipt.forecast.real_seconds,
         "deviceSeconds": receipt.stages.trace.seconds,
         "stopReason": str(receipt.stop_reason),

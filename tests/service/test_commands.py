@@ -245,7 +245,9 @@ def test_explain_says_why_an_effect_is_in(tmp_path: Path, environment: dict[str,
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps(SCENE))
     told = _penumbra("explain", str(scene), "--json", environment=environment)
-    verdicts = {v["effect"]: v for v in json.loads(told.stdout)["effects"]}
+    answer = json.loads(told.stdout)
+    verdicts = {v["effect"]: v for v in answer["effects"]}
+    assert [limit["name"] for limit in answer["not_covered"]] == ["light of long paths"]
     assert verdicts["round"] == {"effect": "round", "in": True, "reason": "shapes/0 is a sphere"}
     assert not verdicts["transmission"]["in"]
 

@@ -124,7 +124,7 @@ class PortableDevice(Device):
 @hard_case(
     47,
     "two-builds",
-    "The same seed on two devices, and in the portable build of one: pixels may differ in rounding, pictures do not.",
+    "The same seed on two devices, in the portable build and with the other kind of tree: pictures do not differ.",
     oracle="differences in standard errors pooled over 8 x 8 pixels: rms at most .1, mean at most .1",
     algorithm="The same keys draw the same samples everywhere; what rounding turns aside is far below the noise",
 )
@@ -133,6 +133,8 @@ def two_builds(bench: Workbench) -> Iterator[Measure]:
     here = bench.get(Renderer)(scene, samples=64)
     own = bench.device.info.id
     others: list[tuple[str, Any]] = [("the portable build", PortableDevice(own))]
+    tree = "compact" if bench.device.tree == "wide" else "wide"
+    others.append((f"the {tree} tree", Device(own, tree)))
     others += [(info.id, Device(info.id)) for info in devices() if info.id != own]
     for name, device in others:
         z = pooled_z(here, Renderer(device)(scene, samples=64))

@@ -8,6 +8,7 @@ from datetime import datetime
 from importlib import metadata
 from typing import Final
 
+from penumbra_kernels.limits import not_covered
 from penumbra_scene.check import picture_hash, scene_hash
 from penumbra_scene.job import ErrorPoint, Interval, StopReason
 from penumbra_scene.receipt import (
@@ -88,6 +89,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         effects_out=tuple(
             EffectReport(name=e.name, reason=e.reason) for e in record.effects if not e.present
         ),
+        not_covered=tuple(EffectReport(name=limit.name, reason=limit.reason) for limit in not_covered(scene)),
         devices=_devices(record),
         bit_class=record.bit_class,
         plan=_plan(record),

@@ -73,6 +73,7 @@ def test_a_receipt_says_what_the_record_says(scene):  # type: ignore[no-untyped-
     ]
     assert [e.name for e in receipt.effects_in] == ["gloss"]
     assert [e.name for e in receipt.effects_out] == ["lens"]
+    assert [e.name for e in receipt.not_covered] == ["light of long paths"]
     assert receipt.counts.rejected_in == {"gloss": 2}
     assert receipt.counts.flagged_share == 0.3
     assert receipt.counts.empty_pixels == 1
