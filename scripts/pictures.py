@@ -7,15 +7,20 @@ thumbnails that every render leaves.
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shutil
 import sys
 import tempfile
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
 from penumbra_client.cli import main as penumbra
 from penumbra_scene.receipt import Receipt
+from penumbra_service.images.exr_read import ExrReader
+from penumbra_service.images.samplemap import write_sample_map
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 EXAMPLES: Final = ROOT / "examples"
@@ -64,7 +69,15 @@ def render(name: str) -> int:
             receipt = max(Path(out).rglob("receipt.json"))
             shutil.copy(Path(out) / picture, PICTURES / f"{name}.png")
             shutil.copy(receipt, PICTURES / f"{name}.json")
+            if json.loads(scene.read_bytes()).get("adaptive"):
+                write_sample_map(PICTURES / f"{name}_samples.png", sample_counts(Path(out) / "result.exr"))
     return status
+
+
+def sample_counts(picture: Path) -> NDArray[Any]:
+    """Samples of each pixel, (height, width)."""
+    with ExrReader(picture) as reader:
+        return np.concatenate([band.integers["SampleCount"] for band in reader.bands()])
 
 
 def gallery() -> str:
@@ -76,11 +89,18 @@ def gallery() -> str:
             receipt = Receipt.model_validate_json(receipt_path.read_bytes())
             parts.append(
                 f"## {receipt.name}\n\n"
-                f"![{name}](pictures/{name}.png)\n\n"
+                f"![{name}](pictures/{name}.png){samples(receipt, name)}\n\n"
                 f"{shows[0].upper()}{shows[1:]}. Sampled: {sampled}. [Scene](../examples/{name}.json).\n\n"
                 f"{numbers(receipt)}\n"
             )
     return "\n".join(parts)
+
+
+def samples(receipt: Receipt, name: str) -> str:
+    """Beside an adaptive picture: where it took how many samples."""
+    if receipt.adaptive is None:
+        return ""
+    return f" ![{name}: samples a pixel](pictures/{name}_samples.png)"
 
 
 def numbers(receipt: Receipt) -> str:
@@ -88,9 +108,15 @@ def numbers(receipt: Receipt) -> str:
     error = receipt.error.relative_error
     told = "its error is not known" if error is None else f"relative error {100 * error:.2g} %"
     effects = ", ".join(effect.name for effect in receipt.effects_in) or "none"
+    spread = ""
+    if receipt.adaptive is not None:
+        levels = receipt.adaptive.levels
+        spread = (
+            f", {levels[-1].samples} in the darkest parts of the map to {levels[0].samples} in the lightest"
+        )
     frame = "" if receipt.frame is None else f"Frame {receipt.frame}: "
     return (
-        f"{frame}{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`), {told}, "
+        f"{frame}{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`{spread}), {told}, "
         f"{receipt.forecast.real_seconds:.1f} s on {receipt.devices[0].name}. Compiled in: {effects}."
     )
 

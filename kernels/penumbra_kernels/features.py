@@ -62,6 +62,8 @@ class Features:
     verdicts: tuple[Feature, ...]
     sampler: str
     area_sampling: bool
+    adaptive: bool = False
+    """Whether pixels take different numbers of samples; like the layers, it is no effect but asked for."""
 
     def __contains__(self, name: str) -> bool:
         return any(v.name == name and v.present for v in self.verdicts)
@@ -82,6 +84,7 @@ class Features:
         flags = {f"PENUMBRA_{name.upper()}": int(present[name]) for name in EFFECTS}
         flags["PENUMBRA_SAMPLER"] = CONSTANTS[f"SAMPLER_{self.sampler.upper()}"]
         flags["PENUMBRA_LIGHT_AREA_SAMPLING"] = int(self.area_sampling)
+        flags["PENUMBRA_ADAPTIVE"] = int(self.adaptive)
         return flags
 
 
@@ -91,7 +94,9 @@ def analyse(scene: Scene, time: float = 0.0) -> Features:
     verdicts = tuple(
         Feature(name, bool(reason), reason or "nothing uses it") for name, reason in reasons.items()
     )
-    return Features(verdicts, scene.sampler.type, scene.integrator.light_sampling == "area")
+    return Features(
+        verdicts, scene.sampler.type, scene.integrator.light_sampling == "area", scene.adaptive is not None
+    )
 
 
 def _reasons(effect: str, scene: Scene, time: float) -> Iterator[str]:

@@ -61,6 +61,8 @@ PARAMS: Final = np.dtype(
         ("environment_light", np.uint32),  # its index in the light choice, or NONE
         ("log2_samples", np.uint32),  # blue noise: bits of the sample index below the pixel's rank
         ("options", np.uint32),  # OPTION_* bits
+        ("kept", np.uint32),  # adaptive: indices that every pixel takes, 0 or a power of two
+        ("pad0", np.uint32),
     ]
 )
 
@@ -394,6 +396,7 @@ CONSTANTS: Final[dict[str, int]] = {
     "OPTION_ALL_LIGHTS": 1,  # every light at every hit, instead of picks
     "OPTION_NO_MIS": 2,
     "OPTION_LIGHT_TREE": 4,  # picks by the light tree, not by the table
+    "LEVEL_NONE": 255,  # adaptive: a pixel that takes the kept samples and no others
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

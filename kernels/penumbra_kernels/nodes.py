@@ -59,6 +59,13 @@ class SumNode:
         return self.first_sample + self.sample_count
 
 
+def empty_node(tile: Tile, replicates: int, first: int, count: int, *, layers: bool = False) -> SumNode:
+    """A range of which no pixel takes a sample."""
+    shape = (replicates, tile.height, tile.width)
+    sums = np.zeros(shape, SUM if count <= FLOAT32_SAMPLES else SUM64)
+    return SumNode(tile, first, count, sums, np.zeros(shape, LAYERS) if layers else None)
+
+
 def siblings(left: SumNode, right: SumNode) -> bool:
     """Whether the two are the children of one parent, in index order."""
     n = left.sample_count

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from penumbra_kernels.accel.compact import tree_arrays
+from penumbra_kernels.allotment import Allotment, even, pilot_seed
 from penumbra_kernels.layout import CONSTANTS, LAYERS, PARAMS, SUM
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, merge
 
@@ -68,13 +69,14 @@ ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("emitter_cdf", _has("AREA_LIGHTS")),
     ("environment", _has("ENVIRONMENT")),
     ("counts", lambda flags: flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]),
+    ("levels", _has("ADAPTIVE")),
     ("layers", _has("LAYERS")),
     ("sums", _always),
     ("first_item", _always),
 )
 """trace.cl's arguments in order, each with the condition under which the program has it."""
 
-PER_LAUNCH: Final = frozenset({"params", "counts", "layers", "sums", "first_item"})
+PER_LAUNCH: Final = frozenset({"params", "counts", "levels", "layers", "sums", "first_item"})
 
 
 @dataclass(frozen=True)
@@ -126,26 +128,51 @@ class Tracer:
         self.upload_seconds = time.perf_counter() - started
         self._params = compiled.params.copy()
         self._params["replicate_count"] = plan.replicates
-        self._params["strata"] = plan.strata
-        self._params["log2_samples"] = max(plan.strata - 1, 0).bit_length() if plan.strata else 32
+        self._plan_strata(plan.strata)
         self._items_per_second = 0.0
 
-    def trace(self, tile: Tile, first_sample: int, sample_count: int) -> SumNode:
-        """The sum node of an aligned power-of-two range of samples, for every replicate.
+    def trace(
+        self, tile: Tile, first_sample: int, sample_count: int, allotment: Allotment | None = None
+    ) -> SumNode:
+        """The sum node of an aligned power-of-two range of samples, for every replicate; of an adaptive scene those that
+        the allotment has the pixels take, or all.
 
-        Work beyond FLOAT32_SAMPLES samples is done in such pieces and merged.
+        Work beyond FLOAT32_SAMPLES samples is done in such pieces and merged, and so is what reaches across the kept
+        samples.
         """
-        if sample_count > FLOAT32_SAMPLES:
-            half = sample_count // 2
-            left = self.trace(tile, first_sample, half)
-            return merge(left, self.trace(tile, first_sample + half, half))
-        return self._launch(tile, first_sample, sample_count)
+        if self.flags["PENUMBRA_ADAPTIVE"]:
+            allotment = allotment or even(tile, self.plan.strata)
+            seed = int(self.compiled.params["seed"])
+            self._params["seed"] = pilot_seed(seed) if allotment.pilot else seed
+            self._params["kept"] = allotment.kept
+        return self._trace(tile, first_sample, sample_count, allotment)
 
-    def _launch(self, tile: Tile, first_sample: int, sample_count: int) -> SumNode:
+    def _trace(
+        self, tile: Tile, first_sample: int, sample_count: int, allotment: Allotment | None
+    ) -> SumNode:
+        end = first_sample + sample_count
+        if sample_count > FLOAT32_SAMPLES or first_sample < int(self._params["kept"]) < end:
+            half = sample_count // 2
+            left = self._trace(tile, first_sample, half, allotment)
+            return merge(left, self._trace(tile, first_sample + half, half, allotment))
+        return self._launch(tile, first_sample, sample_count, allotment)
+
+    def _plan_strata(self, strata: int) -> None:
+        self._params["strata"] = strata
+        self._params["log2_samples"] = max(strata - 1, 0).bit_length() if strata else 32
+
+    def _launch(
+        self, tile: Tile, first_sample: int, sample_count: int, allotment: Allotment | None
+    ) -> SumNode:
         replicates = self.plan.replicates
         shape = (replicates, tile.height, tile.width)
         items = replicates * tile.height * tile.width
         params = self._params
+        buffers = dict(self._buffers)
+        if allotment is not None and self.flags["PENUMBRA_ADAPTIVE"]:
+            buffers["levels"] = self.device.upload(allotment.levels)
+            # What is kept is planned for itself, as it was before anything was decided.
+            self._plan_strata(allotment.kept if first_sample < allotment.kept else allotment.planned)
         params["tile_x"], params["tile_y"] = tile.x, tile.y
         params["tile_width"], params["tile_height"] = tile.width, tile.height
         params["first_sample"], params["sample_count"] = first_sample, sample_count
@@ -155,7 +182,6 @@ class Tracer:
         params["item_count"] = items
         sums = np.empty(shape, SUM)
         layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
-        buffers = dict(self._buffers)
         buffers["params"] = self.device.upload(params)
         buffers["sums"] = self.device.allocate(sums.nbytes)
         if layers is not None:

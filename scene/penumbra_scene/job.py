@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from enum import StrEnum
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, StringConstraints, model_validator
 
@@ -151,6 +151,23 @@ class JobLinks(Model):
     movie: str | None = None
 
 
+class Shortfall(Model):
+    """A job's caps will end it before its error target does, as far as can be told."""
+
+    target: Measured
+    """Relative error that was asked for."""
+    needed_samples: Measured
+    """A pixel, to reach it."""
+    needed_seconds: Measured
+    """Of tracing, to reach it."""
+    cap: Literal["samples", "seconds"]
+    """Which one ends the job first."""
+    expected_error: Measured
+    """Relative error that it will end with."""
+    message: str
+    """The same in words."""
+
+
 class Progress(Model):
     """How far a job is and how good its picture is."""
 
@@ -173,6 +190,8 @@ class Progress(Model):
     """Variance falls as samples^-theta; null while there are too few samples to tell."""
     predicted_seconds: Measured | None = None
     """Of tracing, still to go until the job stops; null where it cannot be told."""
+    shortfall: Shortfall | None = None
+    """The error target that the job cannot reach within its caps; null where it may."""
     thumbnail_revision: Count = 0
     """Rises with every new picture; 0: there is none yet."""
 

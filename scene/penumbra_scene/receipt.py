@@ -124,8 +124,35 @@ class ReceiptDevice(Model):
     """Why it got no more of the job: its compiler refused, it failed three times, or it gave wrong sums."""
 
 
+class LevelShare(Model):
+    """Pixels that took equally many samples."""
+
+    samples: Count
+    """A pixel, all replicates together."""
+    share: Unit
+    """Of the picture's pixels."""
+
+
+class AdaptiveReport(Model):
+    """How the samples were spread over the picture."""
+
+    strategy: Literal["error", "contrast"]
+    mode: Literal["certified", "fast"]
+    biased: Bool
+    """Whether the samples that decided stayed in the picture."""
+    pilot_samples: Count
+    """A pixel."""
+    pilot_seconds: Measured
+    """Of tracing; part of the job's seconds."""
+    theta: Float | None = None
+    """The exponent that the samples were shared out by; null for `contrast`."""
+    levels: tuple[LevelShare, ...]
+    """Most samples first."""
+
+
 class PlanStep(Model):
-    """A range of sample indices that every replicate of every pixel (or of one tile) has taken."""
+    """A range of sample indices that every replicate of every pixel (or of one tile) has taken; of an adaptive render,
+    each pixel its share of them."""
 
     first_sample: Count
     sample_count: Count
@@ -171,6 +198,8 @@ class Receipt(Model):
     error: ReceiptError
     forecast: Forecast
     counts: Counts
+    adaptive: AdaptiveReport | None = None
+    """Null: every pixel was asked for the same number of samples."""
     effects_in: tuple[EffectReport, ...] = ()
     effects_out: tuple[EffectReport, ...] = ()
     not_covered: tuple[EffectReport, ...] = ()

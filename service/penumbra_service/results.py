@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 from penumbra_scene.job import StopReason
-from penumbra_scene.receipt import Receipt
+from penumbra_scene.receipt import AdaptiveReport, Receipt
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.runner import RunResult
@@ -128,7 +128,7 @@ def attributes(receipt: Receipt) -> dict[str, str | int | float]:
         "kernelHash": receipt.kernel_hash or "",
         "bitClass": receipt.bit_class,
         "versions": " ".join(f"{name}={version}" for name, version in receipt.versions.items()),
-        "biased": "no",
+        **_adaptive(receipt.adaptive),
     }
     if receipt.frame is not None:
         ours["frame"] = receipt.frame
@@ -141,6 +141,21 @@ def attributes(receipt: Receipt) -> dict[str, str | int | float]:
         "Software": f"Penumbra {receipt.versions.get('penumbra-render', '')}".strip(),
         "comments": receipt.name,
         **named,
+    }
+
+
+def _adaptive(report: AdaptiveReport | None) -> dict[str, str | int | float]:
+    if report is None:
+        return {"biased": "no", "adaptive": "off"}
+    biased = (
+        "yes: the samples that decided where more are taken stay in the picture" if report.biased else "no"
+    )
+    return {
+        "biased": biased,
+        "adaptive": report.strategy if report.strategy == "contrast" else f"error, {report.mode}",
+        "pilotSamples": report.pilot_samples,
+        "pilotSeconds": report.pilot_seconds,
+        "sampleLevels": " ".join(f"{level.samples}:{level.share:.4f}" for level in report.levels),
     }
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 from penumbra_client.cli import BUILT_IN, main, make_parser
-from penumbra_client.cli.progress import duration, percent
+from penumbra_client.cli.progress import ProgressView, duration, percent
 from penumbra_scene.exits import Exit
+from penumbra_scene.job import ProgressEvent
 
 SCENE = {"version": 1, "camera": {"type": "perspective"}, "shapes": [{"type": "sphere"}]}
 
@@ -99,6 +100,21 @@ def test_frames_are_sent_as_they_were_written(service: Any, scene: str) -> None:
     assert one.json["frames"] == "7"
     with pytest.raises(SystemExit):
         main(["submit", scene, "--frame", "7", "--frames", "1-2"])
+
+
+def test_a_target_out_of_reach_is_told_once_and_why_the_job_ended(capsys: pytest.CaptureFixture[str]) -> None:
+    told = {
+        "target": 0.01, "needed_samples": 900.0, "needed_seconds": 9.0, "cap": "samples", "expected_error": 0.04,
+        "message": "a relative error of 1 % needs about 900 samples",
+    }  # fmt: skip
+    with ProgressView() as view:
+        for share in (0.1, 0.5):
+            view(
+                ProgressEvent.model_validate(
+                    {"id": "J1", "state": "rendering", "progress": share, "shortfall": told}
+                )
+            )
+    assert capsys.readouterr().err.count("warning: a relative error of 1 % needs about 900 samples") == 1
 
 
 def test_without_settings_only_the_scene_is_sent(service: Any, scene: str) -> None:

@@ -47,6 +47,7 @@ class ProgressView:
         self._bar: Progress | None = None
         self._next_line = 0.0
         self._state: JobState | None = None
+        self._warned = False
         if not quiet and sys.stderr.isatty():
             columns = (
                 TextColumn("{task.description:10}"),
@@ -70,6 +71,7 @@ class ProgressView:
 
     def __call__(self, event: ProgressEvent) -> None:
         """Show it."""
+        self._warn(event)
         if self._bar is not None:
             done = 1.0 if event.state == JobState.DONE else event.progress
             self._bar.update(
@@ -77,6 +79,17 @@ class ProgressView:
             )
         elif not self._quiet:
             self._line(event)
+
+    def _warn(self, event: ProgressEvent) -> None:
+        """Once, as soon as it is known that the error target is out of reach."""
+        if self._quiet or self._warned or event.shortfall is None:
+            return
+        self._warned = True
+        text = f"warning: {event.shortfall.message}"
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
 
     def _line(self, event: ProgressEvent) -> None:
         if event.state == self._state and event.progress < self._next_line:

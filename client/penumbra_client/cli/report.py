@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from penumbra_scene.job import Interval, JobStatus
-from penumbra_scene.receipt import Receipt
+from penumbra_scene.job import Interval, JobStatus, StopReason
+from penumbra_scene.receipt import AdaptiveReport, Receipt
 
 from penumbra_client.cli.progress import duration, percent
 from penumbra_client.results import FRAMES, OF_SEQUENCE, RESULTS
@@ -27,7 +27,9 @@ def print_fetched(job: JobStatus, paths: Mapping[str, Path]) -> None:
     spent = f"{job.samples_done:.4g} samples a pixel in {duration(job.seconds)}"
     if job.frames is not None:
         spent = f"{job.frames.done} of {job.frames.total} frames, {spent}"
-    print(f"job {job.id}: {spent}, relative error {error}")
+    print(f"job {job.id}: {spent}, relative error {error}{_ended(job.stop_reason)}")
+    if job.shortfall is not None:
+        print(f"warning: {job.shortfall.message}")
     _print_paths(paths)
 
 
@@ -35,7 +37,9 @@ def print_receipt(receipt: Receipt, folder: Path) -> None:
     """The same of a render in this process."""
     error = error_text(receipt.error.relative_error, receipt.error.relative_error_interval)
     spent = f"{receipt.samples:.4g} samples a pixel in {duration(receipt.stages.trace.seconds)} of tracing"
-    print(f"{receipt.name}: {spent}, relative error {error}")
+    print(f"{receipt.name}: {spent}, relative error {error}{_ended(receipt.stop_reason)}")
+    if receipt.adaptive is not None:
+        print(f"adaptive: {_adaptive_text(receipt.adaptive)}")
     for warning in receipt.warnings:
         print(f"warning: {warning}")
     _print_paths({name: folder / file for name, file in RESULTS.items() if (folder / file).exists()})
@@ -54,6 +58,18 @@ def print_frames(receipts: Sequence[Receipt], folder: Path, as_json: bool) -> No
         )
     files = {name: folder / file for name, file in OF_SEQUENCE.items() if (folder / file).exists()}
     _print_paths({"frames": folder / FRAMES, **files})
+
+
+def _ended(reason: StopReason | None) -> str:
+    """Why the render ended."""
+    return "" if reason is None else f"; ended by {reason.value.replace('_', ' ')}"
+
+
+def _adaptive_text(report: AdaptiveReport) -> str:
+    most, least = report.levels[0].samples, report.levels[-1].samples
+    pilot = f"a pilot of {report.pilot_samples} samples in {duration(report.pilot_seconds)}"
+    kept = "kept, so that the picture is biased" if report.biased else "dropped"
+    return f"by {report.strategy}, {least} to {most} samples a pixel; {pilot}, {kept}"
 
 
 def _print_paths(paths: Mapping[str, Path]) -> None:

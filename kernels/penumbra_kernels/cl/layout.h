@@ -45,6 +45,7 @@
 #define OPTION_ALL_LIGHTS 1u
 #define OPTION_NO_MIS 2u
 #define OPTION_LIGHT_TREE 4u
+#define LEVEL_NONE 255u
 #define SAMPLER_REGULAR 0u
 #define SAMPLER_RANDOM 1u
 #define SAMPLER_INDEPENDENT 2u
@@ -96,8 +97,10 @@ typedef struct {
   uint environment_light;
   uint log2_samples;
   uint options;
+  uint kept;
+  uint pad0;
 } Params;
-// sizeof(Params) == 200
+// sizeof(Params) == 208
 
 typedef struct {
   float rgba[4];

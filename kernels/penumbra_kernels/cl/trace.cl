@@ -11,6 +11,7 @@
 #include "film/filter.cl"
 #include "camera/camera.cl"
 #include "integrators/path.cl"
+#include "sampling/share.cl"
 
 #define MAX_LEVELS 9  // nodes of up to 2^8 samples are summed here, pairwise
 
@@ -87,20 +88,33 @@ static inline void add_layers(PathSample *sum, const PathSample *path) {
   sum->object_id = path->object_id;
 }
 
-static inline void gather_layers(Gather *gather, const uint i, const PathSample *path) {
+static inline void gather_start(Gather *gather) {
+  gather->taken = gather->lit = gather->rejected = gather->rejected_in = gather->rays = 0u;
+  gather->levels[0] = (float4)(0.0f);
 #if PENUMBRA_LAYERS
-  tree_add(gather->albedo_depth, i, (float4)(path->albedo, path->depth));
-  tree_add(gather->normal, i, (float4)(path->normal, 0.0f));
+  gather->albedo_depth[0] = gather->normal[0] = (float4)(0.0f);
+  gather->object_id = 0u;
+#endif
+}
+
+// A leaf of the tree: a sample's value, or where indices around it are not taken its sum with their zeros, which turns -0
+// into 0 as any larger node does.
+static inline float4 leaf(const float4 value, const bool thinned) { return thinned ? value + (float4)(0.0f) : value; }
+
+static inline void gather_layers(Gather *gather, const uint i, const PathSample *path, const bool thinned) {
+#if PENUMBRA_LAYERS
+  tree_add(gather->albedo_depth, i, leaf((float4)(path->albedo, path->depth), thinned));
+  tree_add(gather->normal, i, leaf((float4)(path->normal, 0.0f), thinned));
   if (i == 0) gather->object_id = path->object_id;
 #endif
 }
 
 // One pixel of one replicate: all samples of the node. counts: points that fell into each sample (random), else null;
-// layers: null where there are none.
+// levels: of the tile's pixels (adaptive), else null; layers: null where there are none.
 static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global Params *params,
                                          const __global float *filter_table, const __global float *shutter_table,
-                                         const __global ushort *counts, __global Layers *layers, __global Sum *out,
-                                         const uint item) {
+                                         const __global ushort *counts, const __global uchar *levels,
+                                         __global Layers *layers, __global Sum *out, const uint item) {
   const uint pixels = params->tile_width * params->tile_height;
   const uint replicate = item / pixels;
   const uint pixel = item - replicate * pixels;
@@ -108,8 +122,14 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
   const uint y = params->tile_y + pixel / params->tile_width;
   Sampler sampler = sampler_start(params, x, y, params->first_replicate + replicate);
   Gather gather;
-  gather.taken = gather.lit = gather.rejected = gather.rejected_in = gather.rays = 0u;
-  for (uint i = 0; i < params->sample_count; i++) {
+  gather_start(&gather);
+#if PENUMBRA_ADAPTIVE
+  Share share = share_of(params, levels[pixel]);
+  sampler_share(&sampler, params, levels[pixel], &share);
+#else
+  const Share share = whole_share(params);
+#endif
+  for (uint i = 0; i < share.count; i++) {
     PathSample path;
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
     const uint count = counts[((ulong)replicate * params->sample_count + i) * pixels + pixel];
@@ -117,18 +137,18 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
     path = no_path();
     for (uint k = 0; k < count; k++) {
       PathSample one;
-      sampler_next_of(&sampler, params->first_sample + i, k);
+      sampler_next_of(&sampler, share.first + i, k);
       value += take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &one);
       add_layers(&path, &one);
     }
 #else
-    sampler_next(&sampler, params->first_sample + i);
+    sampler_next(&sampler, share.first + i);
     const float4 value = take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
 #endif
-    tree_add(gather.levels, i, value);
-    gather_layers(&gather, i, &path);
+    tree_add(gather.levels, i, leaf(value, share.thinned));
+    gather_layers(&gather, i, &path, share.thinned);
   }
-  const uint top = level_of(params->sample_count);
+  const uint top = level_of(MAX(share.count, 1u));
   out->rgba[0] = gather.levels[top].x;
   out->rgba[1] = gather.levels[top].y;
   out->rgba[2] = gather.levels[top].z;
@@ -188,6 +208,9 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #endif
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
                     const __global ushort *counts,
+#endif
+#if PENUMBRA_ADAPTIVE
+                    const __global uchar *levels,
 #endif
 #if PENUMBRA_LAYERS
                     __global Layers *layers,
@@ -259,6 +282,10 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
   item_counts = counts;
 #endif
+  const __global uchar *pixel_levels = 0;
+#if PENUMBRA_ADAPTIVE
+  pixel_levels = levels;
+#endif
   const uint first = first_item + (uint)get_global_id(0) * params->items_per_group;
   const uint end = MIN(first + params->items_per_group, params->item_count);
   for (uint item = first; item < end; item++) {
@@ -266,6 +293,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_LAYERS
     item_layers = layers + item;
 #endif
-    trace_item(&scene, params, filter_table, shutter_table, item_counts, item_layers, sums + item, item);
+    trace_item(&scene, params, filter_table, shutter_table, item_counts, pixel_levels, item_layers, sums + item,
+               item);
   }
 }

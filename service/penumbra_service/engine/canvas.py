@@ -10,10 +10,11 @@ import math
 import time
 from collections.abc import Iterable
 
-from penumbra_kernels.nodes import SumNode, Tile
+from penumbra_kernels.nodes import SumNode, Tile, empty_node
 
 from penumbra_service.film.error import TileSummary, image_error
 from penumbra_service.film.film import Film
+from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.predict import Point
 from penumbra_service.film.preview import Preview
 from penumbra_service.film.stop import Reason
@@ -27,8 +28,13 @@ log = logging.getLogger(__name__)
 class Canvas:
     """Takes nodes in, and says what is missing, what is complete, and whether it is enough."""
 
-    def __init__(self, film: Film, batches: Batches, record: RunRecord) -> None:
+    def __init__(
+        self, film: Film, batches: Batches, record: RunRecord, levels: LevelMap, *, layers: bool = False
+    ) -> None:
+        """levels: how pixels share in the axis of samples; layers: nodes have them."""
         self.film = film
+        self.levels = levels
+        self._layers = layers
         self.batches = batches
         self.record = record
         self.preview = Preview(film.grid.window)
@@ -57,7 +63,9 @@ class Canvas:
     def missing(self, tiles: Iterable[Tile] | None = None) -> list[WorkItem]:
         """What is asked for and not there, in order of the batches."""
         wanted = self.film.tiles if tiles is None else list(tiles)
-        return [item for first, end in self.batches.ranges for item in self._items(wanted, first, end)]
+        items = [item for first, end in self.batches.ranges for item in self._items(wanted, first, end)]
+        self._summarize(wanted)
+        return items
 
     def open_next(self, rate: float | None, seconds_left: float | None) -> list[WorkItem] | None:
         """Begin one more batch: what it lacks. None where the rule allows none now."""
@@ -65,8 +73,9 @@ class Canvas:
         if opened is None:
             return None
         self.film.set_barriers(self.batches.barriers)
+        items = self._items(self.film.tiles, *opened)
         self._summarize(self.film.tiles)
-        return self._items(self.film.tiles, *opened)
+        return items
 
     def take(self, nodes: Iterable[SumNode]) -> None:
         """Add nodes. Raises ValueError for one that was not asked for, OSError where a tile cannot be
@@ -74,7 +83,7 @@ class Canvas:
         touched = []
         for node in nodes:
             if self.film.add(node):
-                self._samples += node.sums.size * node.sample_count
+                self._samples += self._taken(node.tile, node.first_sample, node.sample_count)
                 self.changed = True
                 touched.append(node.tile)
         self._summarize(dict.fromkeys(touched))
@@ -109,7 +118,7 @@ class Canvas:
         summaries = [self._summaries[tile] for tile in self.film.tiles]
         error = image_error(summaries)
         upper = error.upper(confidence) if error.known else math.nan
-        samples = end * self.film.replicates
+        samples = self.batches.rule.samples_at(end)
         self.record.points.append(Point(samples, seconds, error.relmse, upper, error.deviation, error.mse))
         self.record.counts = count_pixels(summaries)
         return self.batches.check(seconds, error)
@@ -128,13 +137,15 @@ class Canvas:
         return end
 
     def missing_samples(self) -> float:
-        """Samples a replicate that the current batch lacks, on average over the picture."""
+        """Indices of the axis that the current batch lacks, as many as would give all pixels together the samples that
+        it lacks."""
         end = self.batches.current
         if end is None:
             return 0.0
         tiles = [tile for tile in self.film.tiles if tile not in self._summaries]
-        items = self._items(tiles, self.batches.checked, end)
-        return sum(item.count * item.tile.width * item.tile.height for item in items) / self.window_pixels
+        gaps = [(tile, gap) for tile in tiles for gap in self.film.missing(tile, self.batches.checked, end)]
+        taken = sum(self.levels.samples(tile, *gap) for tile, gap in gaps)
+        return taken / self.window_pixels / (self.levels.density or 1.0)
 
     def flush(self) -> None:
         """Write all tiles that have changed. Raises OSError."""
@@ -142,7 +153,19 @@ class Canvas:
         self.changed = False
 
     def _items(self, tiles: Iterable[Tile], first: int, end: int) -> list[WorkItem]:
-        return [WorkItem(t, at, count) for t in tiles for at, count in self.film.missing(t, first, end)]
+        """What devices must do; ranges of which a tile takes no sample are filled in on the spot."""
+        items = []
+        for tile in tiles:
+            for at, count in self.film.missing(tile, first, end):
+                if self.levels.samples(tile, at, count):
+                    items.append(WorkItem(tile, at, count))
+                else:
+                    nothing = empty_node(tile, self.film.replicates, at, count, layers=self._layers)
+                    self.changed |= self.film.add(nothing)
+        return items
+
+    def _taken(self, tile: Tile, first: int, count: int) -> int:
+        return self.film.replicates * self.levels.samples(tile, first, count)
 
     def _summarize(self, tiles: Iterable[Tile]) -> None:
         """Pool the statistics of those tiles that have become complete up to the current end."""
@@ -158,9 +181,9 @@ class Canvas:
 
     def _count_samples(self) -> int:
         return sum(
-            count * self.film.replicates * tile.width * tile.height
+            self._taken(tile, first, count)
             for tile in self.film.tiles
-            for _, count in self.film.ranges(tile)
+            for first, count in self.film.ranges(tile)
         )
 
 

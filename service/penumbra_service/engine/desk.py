@@ -7,7 +7,11 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Final
 
+from penumbra_kernels.allotment import Allotment
+from penumbra_kernels.nodes import Tile
+
 from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseResult, RenderSpec
+from penumbra_service.film.levels import LevelMap
 from penumbra_service.jobs.doublecheck import DoubleChecks, digest_of
 from penumbra_service.jobs.planning import LeasePlanner, WorkItem
 
@@ -45,6 +49,7 @@ class LeaseDesk:
         self._lock = threading.Lock()
         self._planner = LeasePlanner(spec.replicates)
         self._numbers: dict[str, int] = {}
+        self._allot: Callable[[Tile], Allotment] | None = None
         self._excluded: set[str] = set()
         self._strict = strict
         self._bit_class: str | None = None
@@ -62,7 +67,7 @@ class LeaseDesk:
             if check is not None:
                 lease_id = f"{self._name}/check-{check.number}-{device.id}"
                 self._checking[lease_id] = check.number
-                return Lease(lease_id, self._job, self._spec, check.items, UNKNOWN_DEADLINE)
+                return self._lease(lease_id, check.items, UNKNOWN_DEADLINE)
             planned = self._planner.take(device.id)
             if planned is not None:
                 expected = self._planner.expected_seconds(device.id, planned)
@@ -70,12 +75,27 @@ class LeaseDesk:
                 self._numbers[lease_id] = planned.number
                 self._bit_class = self._bit_class or device.bit_class
                 self._busy(True)
-                return Lease(lease_id, self._job, self._spec, planned.items, _deadline(expected))
+                return self._lease(lease_id, planned.items, _deadline(expected))
             if self._asked:
                 return None
             self._asked = True
         self._hungry()
         return None
+
+    def share(self, levels: LevelMap, allot: Callable[[Tile], Allotment], *, anew: bool) -> None:
+        """Adaptive: from now on, with nothing ready or out, pixels take so much of the axis of samples. `anew`: the axis
+        holds other samples than before, so that checks of those can be decided no more."""
+        with self._lock:
+            self._planner.drop()
+            self._planner.levels = levels
+            self._allot = allot
+            if anew:
+                self._checks.drop()
+
+    def _lease(self, lease_id: str, items: tuple[WorkItem, ...], deadline: float) -> Lease:
+        allot = self._allot
+        tiles = {item.tile: allot(item.tile) for item in items} if allot else {}
+        return Lease(lease_id, self._job, self._spec, items, deadline, tiles)
 
     def add(self, items: Iterable[WorkItem]) -> None:
         """More work, after what waits already."""

@@ -25,6 +25,7 @@ from dataclasses import asdict
 from multiprocessing.connection import Connection
 from typing import Final, Protocol
 
+from penumbra_kernels.allotment import Allotment
 from penumbra_kernels.nodes import SumNode, Tile
 
 from penumbra_service.engine.protocol import (
@@ -67,7 +68,7 @@ class LoadedScene(Protocol):
     effects: tuple[tuple[str, bool, str], ...]
     program_hash: str
 
-    def trace(self, tile: Tile, first: int, count: int) -> SumNode:
+    def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
         """Raises DeviceRefusedError."""
 
 
@@ -122,7 +123,10 @@ class DeviceProcess:
             scene = self._scene(lease)
             self._phase = f"trace {lease.id}"
             started = time.perf_counter()
-            nodes = tuple(scene.trace(item.tile, item.first, item.count) for item in lease.items)
+            nodes = tuple(
+                scene.trace(item.tile, item.first, item.count, lease.allotments.get(item.tile))
+                for item in lease.items
+            )
             self._send(LeaseResult(lease.id, nodes, time.perf_counter() - started))
         except SceneError as error:
             self._send(LeaseFailure(lease.id, "scene", str(error)))

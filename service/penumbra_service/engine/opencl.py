@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from penumbra_kernels.accel.trees import Trees
+from penumbra_kernels.allotment import Allotment
 from penumbra_kernels.assets import AssetError, Assets, NoAssets
 from penumbra_kernels.compile.scene import CompiledScene, compile_scene
 from penumbra_kernels.device import BuildError, Device, DeviceError, DeviceInfo, devices
@@ -58,9 +59,9 @@ class LoadedOnDevice:
         self.program_hash = source_hash(assemble("trace.cl", {**tracer.flags, **device.flags}))
         self._tracer = tracer
 
-    def trace(self, tile: Tile, first: int, count: int) -> SumNode:
+    def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
         try:
-            return self._tracer.trace(tile, first, count)
+            return self._tracer.trace(tile, first, count, allotment)
         except DeviceError as error:
             raise DeviceRefusedError(str(error)) from error
 

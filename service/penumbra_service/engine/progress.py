@@ -12,6 +12,7 @@ from penumbra_service.film.predict import Point, fit_theta, predict
 from penumbra_service.film.stop import StopRule
 from penumbra_service.jobs.receipt import error_interval
 from penumbra_service.jobs.record import RunRecord
+from penumbra_service.jobs.shortfall import shortfall
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def forecast(rule: StopRule, points: Sequence[Point], now: Now) -> Forecast | No
         return None
     ends = []
     if rule.samples is not None:
-        ends.append(float(rule.samples * rule.replicates))
+        ends.append(rule.samples_at(rule.samples))
     if rule.seconds is not None:
         ends.append(now.samples + max(rule.seconds - now.seconds, 0.0) / now.seconds_per_sample)
     told = predict(points, rule.relative_error, rule.confidence) if rule.relative_error else None
@@ -59,12 +60,12 @@ def progress_of(
     """A run's progress. at_least: the share that was reported before, which never falls."""
     last = record.points[-1] if record.points else None
     known = last is not None and math.isfinite(last.relmse)
-    planned = None if rule.samples is None else rule.samples * rule.replicates
+    planned = rule.planned
     fit = fit_theta(record.points) if known else None
     return Progress(
         progress=max(at_least, _share(rule, told, now)),
         samples_done=min(now.samples, planned) if planned else now.samples,
-        samples_planned=planned,
+        samples_planned=None if planned is None else round(planned),
         seconds=now.seconds,
         device_seconds=record.trace_seconds,
         relmse=last.relmse if known and last else None,
@@ -72,13 +73,14 @@ def progress_of(
         relative_error_interval=error_interval(last, rule.confidence) if known and last else None,
         theta=fit.theta if fit and fit.points else None,
         predicted_seconds=told.seconds - now.seconds if told else None,
+        shortfall=shortfall(record.points, rule.relative_error, rule.confidence, rule.planned, rule.seconds),
     )
 
 
 def _share(rule: StopRule, told: Forecast | None, now: Now) -> float:
     shares = [0.0]
-    if rule.samples is not None:
-        shares.append(now.samples / (rule.samples * rule.replicates))
+    if rule.planned is not None:
+        shares.append(now.samples / rule.planned)
     if rule.seconds is not None:
         shares.append(now.seconds / rule.seconds)
     if told is not None and told.samples > 0:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Final, Protocol
 
-from penumbra_kernels.nodes import SumNode
+from penumbra_kernels.allotment import Allotment
+from penumbra_kernels.nodes import SumNode, Tile
 
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.dispatch import Bidder
@@ -79,6 +81,8 @@ class Lease:
     items: tuple[WorkItem, ...]
     deadline_seconds: float
     """After which the device counts as hung, from when it starts on the lease with the scene loaded."""
+    allotments: Mapping[Tile, Allotment] = field(default_factory=dict)
+    """Adaptive: what the pixels of the items' tiles take; those of tiles that are not in it take all."""
 
 
 # From the parent to a device process: Lease, or None to end.

@@ -37,6 +37,7 @@ from penumbra_service.engine.protocol import (
     ToJob,
 )
 from penumbra_service.engine.snapshot import Snapshot, kernel_hash
+from penumbra_service.engine.stages import PILOT_SHARE, Stages
 from penumbra_service.engine.task import Failure, Halt, RenderTask, RunFailedError, RunResult
 from penumbra_service.engine.trust import Trust
 from penumbra_service.film.film import Film
@@ -44,7 +45,7 @@ from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.predict import fit_theta
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.film.replicates import choose_layout
-from penumbra_service.film.stop import MIN_CHECK_SAMPLES, StopRule
+from penumbra_service.film.stop import MIN_CHECK_SAMPLES
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.batches import Batches
 from penumbra_service.jobs.dispatch import gain_of
@@ -94,18 +95,10 @@ class JobRunner:
         window = task.scene.film.window
         self._window = Tile(window.x, window.y, window.width, window.height)
         self._pixels = window.width * window.height
-        stop = task.scene.stop
-        self._rule = StopRule(
-            self._layout.replicates,
-            self._layout.samples_per_replicate,
-            stop.seconds,
-            stop.relative_error,
-            stop.confidence,
-        )
         self._spec = self._make_spec()
         self._scene = self._spec.key
         self._key = f"{self._scene}-{kernel_hash()}"
-        self._store = FolderTileStore(task.folder / "tiles")
+        self._stages = Stages(task.scene, self._layout, self._window, task.folder, self._key)
         self._record = RunRecord()
         self._life = Life(JobState.COMPILING)
         self._theta = 1.0
@@ -194,7 +187,8 @@ class JobRunner:
         """Read the snapshot, if there is one, and plan what it lacks."""
         scene = self._task.scene.model_dump_json().encode()
         FolderTileStore(self._task.folder).write("scene.json", scene)
-        kept = snapshot.load(self._store, self._key) or self._fresh()
+        self._stage, found = self._stages.resume()
+        kept = found or self._fresh()
         self._record = kept.record
         self._life = Life(JobState.COMPILING, kept.record.crashes)
         self._clock = TraceClock(kept.record.seconds)
@@ -203,28 +197,38 @@ class JobRunner:
         self._checked_before = kept.record.checked_leases
         if kept.record.bit_class not in ("none", "mixed"):
             self._desk.keep_to(kept.record.bit_class)
-        batches = Batches(self._rule, kept.checked, ends=kept.record.ends)
-        batches.reopen(kept.open_ends)
-        film = Film(
-            TileGrid(self._window, kept.tile_size),
-            self._layout.replicates,
-            self._store,
-            self._key,
-            deterministic=self._layout.deterministic,
-            memory_limit=self._task.memory_limit,
-        )
-        self._canvas = Canvas(film, batches, kept.record)
-        self._pace = Pace(kept.record.seconds, self._canvas.samples)
-        self._desk.add(self._canvas.missing())
+        self._set_up(kept.checked, kept.open_ends)
         self._next_snapshot = time.monotonic() + SNAPSHOT_SECONDS
+
+    def _set_up(self, checked: int, open_ends: tuple[int, ...], *, anew: bool = False) -> None:
+        """Get to work on the stage: with the batches that were begun, and the tiles that are there. `anew`: it keeps
+        nothing of the stage before."""
+        stage, task = self._stage, self._task
+        batches = Batches(stage.rule, checked, ends=self._record.ends)
+        batches.reopen(open_ends)
+        film = Film(
+            TileGrid(self._window, self._tile_size),
+            self._layout.replicates,
+            stage.store,
+            stage.key,
+            deterministic=self._layout.deterministic,
+            memory_limit=task.memory_limit,
+        )
+        layers = bool(task.scene.film.layers)
+        self._canvas = Canvas(film, batches, self._record, stage.levels, layers=layers)
+        self._pace = Pace(self._clock.seconds, self._canvas.samples)
+        if task.scene.adaptive is not None:
+            self._desk.share(stage.levels, stage.allotment, anew=anew)
+        self._plan(self._canvas.missing())
 
     def _fresh(self) -> Snapshot:
         """A run from the start: whatever lies in the folder is of no use."""
-        for name in self._store.names():
-            self._store.delete(name)
+        self._stages.clear()
         layout = self._layout
-        record = RunRecord(layout.replicates, layout.strata, layout.deterministic, kernel_hash=kernel_hash())
-        return Snapshot(self._key, self._choose_tile_size(), 0, (), record)
+        record = RunRecord(
+            layout.replicates, self._stage.strata, layout.deterministic, kernel_hash=kernel_hash()
+        )
+        return Snapshot(self._stage.key, self._choose_tile_size(), 0, (), record)
 
     def _choose_tile_size(self) -> int:
         if self._pixels >= LARGE_WINDOW / 2 and any(device.kind == "gpu" for device in self._engine.usable()):
@@ -364,9 +368,12 @@ class JobRunner:
                 return "seconds"  # the time rule leaves no room for another batch
             if not self._canvas.complete:
                 return None
-            reason = self._canvas.check(self._clock.seconds, self._rule.confidence)
+            reason = self._canvas.check(self._clock.seconds, self._stage.rule.confidence)
             self._theta = fit_theta(self._record.points).theta
             self._tell(force=True)
+            if self._stage.pilot and (reason is not None or self._pilot_has_lasted):
+                self._begin_picture()
+                continue
             if reason is not None:
                 return reason
             self._demand_hope()
@@ -374,9 +381,32 @@ class JobRunner:
             self._save()
             self._canvas.proceed()
 
+    @property
+    def _pilot_has_lasted(self) -> bool:
+        limit = self._task.scene.stop.seconds
+        return limit is not None and self._clock.seconds >= PILOT_SHARE * limit
+
+    def _begin_picture(self) -> None:
+        """The pilot has decided: the map first, then the state, then work that depends on them."""
+        pilot = self._stage
+        end = self._canvas.settle()
+        self._canvas.flush()
+        self._record.seconds = self._clock.seconds
+        self._stage = self._stages.decide(self._canvas.film, self._record, end)
+        self._record.strata = self._stage.strata
+        checked = 0 if pilot.own_numbers else end
+        snapshot.save(
+            self._stage.store, Snapshot(self._stage.key, self._tile_size, checked, (), self._record)
+        )
+        before = self._canvas.preview
+        self._set_up(checked, (), anew=pilot.own_numbers)
+        self._canvas.preview = before
+        if pilot.own_numbers:
+            self._stages.drop_pilot()
+
     def _demand_hope(self) -> None:
         """A target alone never ends a render of which no sample counts: its error stays unknown."""
-        rule, counts = self._rule, self._record.counts
+        rule, counts = self._stage.rule, self._record.counts
         if rule.relative_error is None or rule.samples is not None or rule.seconds is not None:
             return
         if counts is not None and counts.taken == 0 and counts.rejected >= MIN_CHECK_SAMPLES * counts.pixels:
@@ -389,7 +419,10 @@ class JobRunner:
         """One more batch where the devices would run dry."""
         self._desk.allowed(self._engine.usable())
         while self._desk.idle:
-            open_samples = self._desk.out_samples / (self._pixels * self._layout.replicates)
+            if self._stage.pilot and self._canvas.batches.current is not None:
+                return  # what a pilot renders past its end could not be kept
+            per_index = self._pixels * self._layout.replicates * self._stage.density
+            open_samples = self._desk.out_samples / per_index
             rate = self._rate()
             left = self._canvas.batches.seconds_left(self._clock.seconds, open_samples, rate)
             items = self._canvas.open_next(rate, left)
@@ -404,17 +437,17 @@ class JobRunner:
             self._engine.wake()
 
     def _rate(self) -> float | None:
-        """Samples a replicate per second, of the whole picture."""
+        """Indices of the axis of samples per second, of the whole picture."""
         rate = self._pace.rate
-        return rate / self._layout.replicates if rate else None
+        return rate / (self._layout.replicates * self._stage.density) if rate else None
 
     def _foretell(self) -> None:
         record = self._record
         if record.foretold is not None:
             return
-        if self._rule.relative_error is not None and not fit_theta(record.points).points:
+        if self._stage.rule.relative_error is not None and not fit_theta(record.points).points:
             return
-        told = forecast(self._rule, record.points, self._now())
+        told = forecast(self._stage.rule, record.points, self._now())
         if told is not None:
             record.foretold = Foretold(record.points[-1].samples, told.samples, told.seconds)
 
@@ -428,6 +461,8 @@ class JobRunner:
         rate = self._pace.rate
         counts = self._record.counts
         samples = counts.taken / counts.pixels if done and counts and counts.pixels else self._canvas.samples
+        if self._stage.own_numbers:
+            samples = 0.0  # a pilot that is dropped is no part of the picture
         return Now(samples, self._clock.seconds, 1 / rate if rate else None)
 
     def _tell(self, force: bool = False, share: float = 0.0) -> None:
@@ -437,9 +472,10 @@ class JobRunner:
             return
         self._last_progress = now
         standing = self._now(done=share == 1.0)
-        told = forecast(self._rule, self._record.points, standing)
+        goal = self._stage.goal
+        told = forecast(goal, self._record.points, standing)
         before = 0.0 if self._told is None else self._told[1].progress
-        progress = progress_of(self._rule, self._record, told, standing, max(before, share))
+        progress = progress_of(goal, self._record, told, standing, max(before, share))
         news = (self._life.state, progress)
         if news != self._told:
             self._told = news
@@ -461,8 +497,8 @@ class JobRunner:
         """The state without the sums. It must be on disk before any tile that depends on it."""
         self._record.seconds = self._clock.seconds
         batches = self._canvas.batches
-        kept = Snapshot(self._key, self._tile_size, batches.checked, batches.open_ends, self._record)
-        snapshot.save(self._store, kept)
+        kept = Snapshot(self._stage.key, self._tile_size, batches.checked, batches.open_ends, self._record)
+        snapshot.save(self._stage.store, kept)
 
     def _finish(self, reason: str) -> RunResult:
         """The picture is there."""

@@ -29,7 +29,7 @@ EPSILON: Final = 0.01
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums over the pixels of each POOL_BLOCK block of a tile, as float64 rows x columns."""
+    """Sums over the pixels of each block of a tile, as float64 rows x columns."""
 
     pixels: NDArray[np.float64]
     """Pixels whose variance is known; the sums below are over these alone."""
@@ -62,21 +62,22 @@ class TileSummary:
     """Largest mean of R, G or B."""
 
 
-def block_sums(pixels: PixelStatistics) -> BlockSums:
-    """Pool a tile. Blocks are aligned to the full frame, so they do not depend on the tiles."""
+def block_sums(pixels: PixelStatistics, block: int = POOL_BLOCK) -> BlockSums:
+    """Pool a tile over blocks of this side. Blocks are aligned to the full frame, so they do not depend on the tiles."""
     known = np.isfinite(pixels.variance[..., 0])
     variance = np.where(known, pixels.variance[..., :3].mean(axis=-1), 0.0)
     square = np.where(known, np.square(pixels.mean[..., :3]).mean(axis=-1), 0.0)
     tile = pixels.tile
     mean = np.where(known[..., None], pixels.mean[..., :3], 0.0)
-    return BlockSums(_pool(known, tile), _pool(variance, tile), _pool(square, tile), _pool(mean, tile))
+    return BlockSums(*(pool(values, tile, block) for values in (known, variance, square, mean)))
 
 
-def _pool(values: NDArray[Any], tile: Tile) -> NDArray[np.float64]:
+def pool(values: NDArray[Any], tile: Tile, block: int) -> NDArray[np.float64]:
+    """Sums of a tile's pixels (height, width, ...) over blocks of this side, aligned to the full frame."""
     rows = np.add.reduceat(
-        values.astype(np.float64), block_starts(tile.y, tile.height, POOL_BLOCK), axis=0, dtype=np.float64
+        values.astype(np.float64), block_starts(tile.y, tile.height, block), axis=0, dtype=np.float64
     )
-    result: NDArray[np.float64] = np.add.reduceat(rows, block_starts(tile.x, tile.width, POOL_BLOCK), axis=1)
+    result: NDArray[np.float64] = np.add.reduceat(rows, block_starts(tile.x, tile.width, block), axis=1)
     return result
 
 

@@ -26,8 +26,8 @@ THETA_FLOOR: Final = 0.05
 class Point:
     """One check of a running render."""
 
-    samples: int
-    """A pixel."""
+    samples: float
+    """A pixel, on average over the picture."""
     seconds: float
     """Of tracing."""
     relmse: float

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from penumbra_service.film.error import ImageError
+from penumbra_service.film.levels import LevelMap
 
 Reason = Literal["samples", "seconds", "relative_error"]
 
@@ -31,6 +32,26 @@ class StopRule:
     seconds: float | None = None
     relative_error: float | None = None
     confidence: float = 0.95
+    levels: LevelMap | None = None
+    """Adaptive: how the picture's pixels share in the axis of samples; else each takes all. Ends are indices of that
+    axis then, and `samples` is one of them."""
+
+    def samples_at(self, end: int) -> float:
+        """A pixel, over all replicates, on average over the picture."""
+        return self.replicates * (end if self.levels is None else self.levels.mean(end))
+
+    @property
+    def planned(self) -> float | None:
+        """Samples a pixel at which the samples rule ends the render, on average over the picture."""
+        return None if self.samples is None else self.samples_at(self.samples)
+
+    @property
+    def first_end(self) -> int:
+        """The first check point: a power of two, at which pixels have a sample a replicate on average."""
+        end = 1
+        while self.levels is not None and self.levels.density > 0 and self.levels.mean(end) < 1:
+            end *= 2
+        return end
 
     @property
     def fine(self) -> bool:
@@ -39,7 +60,9 @@ class StopRule:
 
     def next_end(self, end: int) -> int | None:
         """The check point after `end` samples a replicate (0 to start); None where `end` is the last."""
-        following = next_check(end) if self.fine else max(2 * end, 1)
+        following = next_check(end) if self.fine else 2 * end
+        if end == 0:
+            following = self.first_end
         if self.samples is None:
             return following
         return min(following, self.samples) if end < self.samples else None
@@ -47,7 +70,7 @@ class StopRule:
     def decide(self, end: int, seconds: float, error: ImageError | None) -> Reason | None:
         """Whether a picture of `end` samples a replicate, after `seconds` of tracing, is the last; why."""
         if self.relative_error is not None and error is not None and error.known:
-            enough = end * self.replicates >= MIN_CHECK_SAMPLES
+            enough = self.samples_at(end) >= MIN_CHECK_SAMPLES
             if enough and error.upper(self.confidence) <= self.relative_error**2:
                 return "relative_error"
         if self.samples is not None and end >= self.samples:

@@ -107,6 +107,10 @@ class DoubleChecks:
         self.done += 1
         return [name for name, answer in check.answers.items() if answer != right]
 
+    def drop(self) -> None:
+        """What is open cannot be decided any more: its samples are void."""
+        self._open.clear()
+
     def forget(self, device: str) -> None:
         """A device's answers count no more."""
         for number, check in list(self._open.items()):

@@ -15,6 +15,8 @@ from typing import Final
 from penumbra_kernels.layout import LAYERS, SUM
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SUM64, Tile
 
+from penumbra_service.film.levels import LevelMap
+
 LEASE_SECONDS: Final = 1.5
 """What a lease should take: long against the some 5 ms of its way there and back, short enough to be done
 again."""
@@ -70,6 +72,8 @@ class LeasePlanner:
 
     def __init__(self, replicates: int, devices: int = 1) -> None:
         self.replicates = replicates
+        self.levels: LevelMap | None = None
+        """How pixels share in the axis of samples; None: each takes all. To be set while no work is ready or out."""
         self.devices = devices
         """How many share the work: the last leases shrink so that all end together."""
         self.redone = 0
@@ -110,6 +114,8 @@ class LeasePlanner:
 
     def samples_of(self, item: WorkItem) -> int:
         """All pixels and replicates of an item together."""
+        if self.levels is not None:
+            return self.replicates * self.levels.samples(item.tile, item.first, item.count)
         return self.replicates * item.tile.width * item.tile.height * item.count
 
     def add(self, items: Iterable[WorkItem]) -> None:
@@ -148,7 +154,7 @@ class LeasePlanner:
     def done(self, number: int, device: str, seconds: float) -> PlannedLease | None:
         """A lease has been answered after `seconds` of tracing; None where it was given up before."""
         lease = self._out.pop(number, None)
-        if lease is not None and seconds > 0:
+        if lease is not None and seconds > 0 and lease.samples > 0:
             self._measure(device, lease.samples / seconds)
         return lease
 

@@ -8,13 +8,16 @@ from datetime import datetime
 from importlib import metadata
 from typing import Final
 
+from penumbra_kernels.allotment import own_samples
 from penumbra_kernels.limits import not_covered
 from penumbra_scene.check import picture_hash, scene_hash
 from penumbra_scene.job import ErrorPoint, Interval, StopReason
 from penumbra_scene.receipt import (
+    AdaptiveReport,
     Counts,
     EffectReport,
     Forecast,
+    LevelShare,
     PlanStep,
     Receipt,
     ReceiptDevice,
@@ -28,6 +31,7 @@ from penumbra_scene.scene import Scene
 from penumbra_service.film.error import normal_quantile
 from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta
 from penumbra_service.jobs.record import RunRecord
+from penumbra_service.jobs.shortfall import shortfall
 
 DISTRIBUTIONS: Final = ("penumbra-render", "numpy", "pyopencl", "pocl-binary-distribution", "OpenImageIO")
 """Whose versions a receipt names."""
@@ -85,6 +89,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         error=_error(record, scene.stop.confidence),
         forecast=_forecast(record),
         counts=counts,
+        adaptive=_adaptive(record),
         effects_in=tuple(EffectReport(name=e.name, reason=e.reason) for e in record.effects if e.present),
         effects_out=tuple(
             EffectReport(name=e.name, reason=e.reason) for e in record.effects if not e.present
@@ -95,8 +100,19 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         plan=_plan(record),
         redone_leases=record.redone_leases,
         checked_leases=record.checked_leases,
-        warnings=(*record.warnings, *context.warnings),
+        warnings=(*record.warnings, *context.warnings, *_missed(scene, record, reason)),
     )
+
+
+def _missed(scene: Scene, record: RunRecord, reason: StopReason) -> tuple[str, ...]:
+    """What an error target that was not met would have taken."""
+    stop = scene.stop
+    if reason is StopReason.RELATIVE_ERROR or stop.relative_error is None or not record.points:
+        return ()
+    last = record.points[-1]
+    caps = (last.samples, None) if reason is StopReason.SAMPLES else (None, record.seconds)
+    short = shortfall(record.points, stop.relative_error, stop.confidence, *caps)
+    return () if short is None else (f"the error target was not met: {short.message}",)
 
 
 def versions() -> dict[str, str]:
@@ -126,6 +142,27 @@ def _counts(record: RunRecord) -> Counts:
         flagged_pixels=c.flagged,
         flagged_share=c.flagged / c.pixels if c.pixels else 0.0,
         empty_pixels=c.flags.get("empty", 0),
+    )
+
+
+def _adaptive(record: RunRecord) -> AdaptiveReport | None:
+    use = record.adaptive
+    if use is None:
+        return None
+    end, kept = record.ends[-1] if record.ends else 0, use.kept
+    pixels = sum(use.levels.values())
+    shares = [
+        LevelShare(samples=record.replicates * own_samples(end, int(level), kept), share=count / pixels)
+        for level, count in sorted(use.levels.items(), key=lambda entry: int(entry[0]))
+    ]
+    return AdaptiveReport(
+        strategy=use.strategy,
+        mode=use.mode,
+        biased=kept > 0,
+        pilot_samples=use.pilot_samples,
+        pilot_seconds=use.pilot_seconds,
+        theta=use.theta,
+        levels=tuple(shares),
     )
 
 

@@ -40,9 +40,27 @@ class Effect:
 class Foretold:
     """The first prediction of a run."""
 
-    at_samples: int
+    at_samples: float
     samples: float
     seconds: float
+
+
+@dataclass
+class AdaptiveUse:
+    """What a pilot decided."""
+
+    strategy: Literal["error", "contrast"]
+    mode: Literal["certified", "fast"]
+    kept: int
+    """Of the pilot's samples, those a replicate that are the picture's beginning."""
+    pilot_samples: int
+    """A pixel."""
+    pilot_seconds: float
+    """Of tracing."""
+    theta: float | None
+    """The exponent that the counts were shared out by; None where the rule asks for none."""
+    levels: dict[str, int]
+    """Pixels by level j, whose density is 2^-j of the largest."""
 
 
 @dataclass
@@ -92,6 +110,8 @@ class RunRecord:
     """Done by two devices and compared."""
     crashes: int = 0
     foretold: Foretold | None = None
+    adaptive: AdaptiveUse | None = None
+    """None: no adaptive render, or its pilot has not decided yet."""
     counts: PixelCounts | None = None
     warnings: list[str] = field(default_factory=list)
 
@@ -116,5 +136,6 @@ class RunRecord:
         record.devices = {key: DeviceUse(**use) for key, use in data["devices"].items()}
         record.effects = [Effect(**e) for e in data["effects"]]
         record.foretold = Foretold(**data["foretold"]) if data["foretold"] else None
+        record.adaptive = AdaptiveUse(**data["adaptive"]) if data["adaptive"] else None
         record.counts = PixelCounts(**data["counts"]) if data["counts"] else None
         return record

@@ -9,7 +9,7 @@ from typing import Final
 
 from markupsafe import Markup
 from penumbra_scene.job import ErrorPoint, FrameCounts, FrameStatus, JobState, JobStatus
-from penumbra_scene.receipt import Counts, Receipt
+from penumbra_scene.receipt import AdaptiveReport, Counts, Receipt
 from pydantic import ValidationError
 
 from penumbra_service.api.frames import frame_statuses
@@ -113,6 +113,8 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
         ("Sampler", status.sampler),
         ("Stops at", _stop(status)),
     ]
+    if status.shortfall is not None:
+        facts.append(("Out of reach", status.shortfall.message))
     if status.stop_reason is not None and status.stop_reason in words.REASONS:
         facts.append(("Ended because", words.REASONS[status.stop_reason]))
     return tuple(facts)
@@ -192,6 +194,7 @@ def receipt_rows(receipt: Receipt) -> tuple[tuple[str, tuple[tuple[str, str], ..
         ("Error", _error_rows(receipt)),
         ("Predicted and real", _forecast_rows(receipt)),
         ("Samples and pixels", _count_rows(receipt)),
+        *_adaptive_rows(receipt.adaptive),
         ("To make it again", _identity_rows(receipt)),
         (
             "Devices",
@@ -247,6 +250,22 @@ def _count_rows(receipt: Receipt) -> tuple[tuple[str, str], ...]:
         ),
         ("Pixels without a sample", words.count(counts.empty_pixels)),
     )
+
+
+def _adaptive_rows(report: AdaptiveReport | None) -> tuple[tuple[str, tuple[tuple[str, str], ...]], ...]:
+    if report is None:
+        return ()
+    pilot = f"{words.count(report.pilot_samples)} samples, {words.duration(report.pilot_seconds)}"
+    levels = ", ".join(
+        f"{words.count(level.samples)}: {words.percent(level.share)}" for level in report.levels
+    )
+    rows = (
+        ("By", report.strategy if report.strategy == "contrast" else f"error, {report.mode}"),
+        ("Pilot", f"{pilot}, {'kept' if report.biased else 'dropped'}"),
+        ("Biased", "yes: the pilot is part of the picture" if report.biased else "no"),
+        ("Samples a pixel, share of pixels", levels),
+    )
+    return (("Adaptive sampling", rows),)
 
 
 def _rays_per_path(counts: Counts) -> str:

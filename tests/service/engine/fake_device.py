@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from penumbra_kernels.allotment import Allotment
 from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import SumNode, Tile, merge
 from penumbra_scene.scene import Scene
@@ -52,7 +53,7 @@ class FakeScene:
         self.scene = scene
         self.spec = spec
 
-    def trace(self, tile: Tile, first: int, count: int) -> SumNode:
+    def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
         if "slow" in self.scene.name:
             time.sleep(SLOW_SECONDS)
         if "steady" in self.scene.name:

@@ -12,7 +12,7 @@ from penumbra_scene.receipt import Receipt
 from penumbra_scene.scene import Scene
 from penumbra_service.film.predict import Point
 from penumbra_service.jobs.receipt import ReceiptContext, build_receipt
-from penumbra_service.jobs.record import DeviceUse, Effect, Foretold, PixelCounts, RunRecord
+from penumbra_service.jobs.record import AdaptiveUse, DeviceUse, Effect, Foretold, PixelCounts, RunRecord
 
 START = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 CONTEXT = ReceiptContext("j1", "a name", START, START, START + timedelta(seconds=9), 1.0, 0.5)
@@ -52,6 +52,23 @@ def scene() -> Scene:
     return Scene.model_validate(
         {"version": 1, "camera": {"type": "perspective"}, "sampler": {"seed": str(2**64 - 1)}}
     )
+
+
+@pytest.mark.parametrize("kept", [0, 2])
+def test_a_receipt_tells_how_samples_were_spread(scene, kept):  # type: ignore[no-untyped-def]
+    mode = "fast" if kept else "certified"
+    use = AdaptiveUse("error", mode, kept, 16, 0.5, 1.1, {"0": 1, "10": 6, "2": 3})
+    adaptive = build_receipt(scene, _record(adaptive=use), StopReason.SAMPLES, CONTEXT).adaptive
+    assert adaptive is not None
+    assert adaptive.biased == (kept > 0)
+    # ends[-1] is 8 of each of 8 replicates: level 2 takes 0 and 4, level 10 takes 0
+    most, middle, least = (64, 24, 16) if kept else (64, 16, 8)
+    assert [(level.samples, level.share) for level in adaptive.levels] == [
+        (most, 0.1),
+        (middle, 0.3),
+        (least, 0.6),
+    ]
+    assert RunRecord.from_json(json.loads(json.dumps(_record(adaptive=use).to_json()))).adaptive == use
 
 
 def test_a_receipt_says_what_the_record_says(scene):  # type: ignore[no-untyped-def]

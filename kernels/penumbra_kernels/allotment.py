@@ -1,0 +1,61 @@
+"""Adaptive sampling: how the pixels of a tile share in the job's one axis of sample indices.
+
+Every replicate has one axis of sample indices for all pixels, so that sum nodes and their tree are the same whatever is
+decided. A pixel of level j takes the indices below `kept`, and of those from there on the multiples of 2^j: its density is
+2^-j of the largest. LEVEL_NONE takes nothing from `kept` on. Indices that a pixel does not take are zeros in its sums, and
+are not counted. cl/sampling/share.cl says the same to the device.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from penumbra_kernels.layout import CONSTANTS
+from penumbra_kernels.nodes import Tile
+
+LEVEL_NONE: Final = CONSTANTS["LEVEL_NONE"]
+PILOT_SALT: Final = 0x13198A2E03707344
+"""Keeps a pilot's random numbers apart from those of the picture of the same seed."""
+_MASK: Final = (1 << 64) - 1
+_STEP: Final = 0x9E3779B97F4A7C15
+
+
+@dataclass(frozen=True, eq=False)
+class Allotment:
+    """What a tile's pixels take of the axis."""
+
+    levels: NDArray[np.uint8]
+    """(height, width) of the tile."""
+    kept: int = 0
+    """Indices of each replicate that every pixel takes: 0 or a power of two."""
+    planned: int = 0
+    """Indices of each replicate that are planned in all: strata are made for them; 0: unknown, strata double."""
+    pilot: bool = False
+    """Samples that only decide: they have random numbers of their own."""
+
+
+def even(tile: Tile, planned: int = 0, *, pilot: bool = False) -> Allotment:
+    """Every pixel takes every index."""
+    return Allotment(np.zeros((tile.height, tile.width), np.uint8), 0, planned, pilot)
+
+
+def own_samples(end: int, level: int, kept: int) -> int:
+    """Of the indices below `end`, how many a pixel of this level takes."""
+    if end <= kept:
+        return end
+    if level == LEVEL_NONE:
+        return kept
+    ahead = (1 << level) - 1
+    return kept + (end + ahead >> level) - (kept + ahead >> level)
+
+
+def pilot_seed(seed: int) -> int:
+    """The seed of a pilot: a bijection of the picture's, so that two pictures never share one."""
+    x = (seed ^ PILOT_SALT) + _STEP & _MASK
+    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9 & _MASK
+    x = (x ^ (x >> 27)) * 0x94D049BB133111EB & _MASK
+    return x ^ (x >> 31)

@@ -1,0 +1,185 @@
+"""The stages of a run: of an adaptive one a pilot, which decides how many samples each pixel takes, then the picture; of
+any other the picture alone.
+
+The pilot of a certified render has random numbers and tiles of its own, which are dropped once it has decided (Kirk and
+Arvo 1991, "Unbiased Sampling Techniques for Image Synthesis"); the others' is the picture's beginning. The map that it
+decides is written down before anything that depends on it, and a restart reads it back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_kernels.allotment import Allotment, even
+from penumbra_kernels.nodes import Tile
+from penumbra_scene.adaptive import Adaptive
+from penumbra_scene.scene import Scene
+
+from penumbra_service.engine import snapshot
+from penumbra_service.engine.snapshot import Snapshot
+from penumbra_service.film import levels
+from penumbra_service.film.allocation import contrast_levels, error_levels, pilot_of, theta_of
+from penumbra_service.film.film import Film
+from penumbra_service.film.levels import LevelMap
+from penumbra_service.film.replicates import Layout
+from penumbra_service.film.stop import StopRule
+from penumbra_service.film.tilefile import FolderTileStore
+from penumbra_service.jobs.record import AdaptiveUse, RunRecord
+
+PILOT_SHARE: Final = 0.1
+"""Of the seconds that a job may take: a pilot that has reached it ends with what it has."""
+PILOT_BUDGET: Final = 0.25
+"""Of a job's samples: what a pilot takes at most where nothing else is asked for."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a run works on."""
+
+    rule: StopRule
+    store: FolderTileStore
+    key: str
+    strata: int
+    """Indices of each replicate that are planned; 0: unknown."""
+    levels: LevelMap
+    goal: StopRule
+    """What the job is to come to: the rule of the picture, or in a pilot that of a picture without a map."""
+    pilot: bool = False
+    own_numbers: bool = False
+    """A pilot whose samples the picture does not keep."""
+
+    @property
+    def density(self) -> float:
+        """Samples of a pixel for each index of the axis, on average over the picture."""
+        return self.levels.density or 1.0
+
+    def allotment(self, tile: Tile) -> Allotment:
+        """What a device must know of a tile."""
+        if self.pilot:
+            return even(tile, self.strata, pilot=self.own_numbers)
+        return self.levels.allotment(tile, self.strata)
+
+
+class Stages:
+    """The stages of one run, in its folder. `layout`: of the picture."""
+
+    def __init__(self, scene: Scene, layout: Layout, window: Tile, folder: Path, key: str) -> None:
+        self.adaptive = scene.adaptive
+        self._stop = scene.stop
+        self._layout = layout
+        self._window = window
+        self._key = key
+        self._tiles = FolderTileStore(folder / "tiles")
+        self._pilot_tiles = FolderTileStore(folder / "pilot")
+
+    def resume(self) -> tuple[Stage, Snapshot | None]:
+        """Where an earlier run has left off; no snapshot: nothing that could be used is there."""
+        if self.adaptive is None:
+            stage = self._picture(LevelMap(self._window))
+            return stage, snapshot.load(stage.store, stage.key)
+        kept = snapshot.load(self._tiles, self._key)
+        if kept is not None and kept.record.adaptive is not None:
+            decided = levels.decode(self._tiles.read(levels.NAME), self._window, self._key)
+            if decided is not None:
+                return self._picture(decided), kept
+        stage = self._pilot(self.adaptive)
+        kept = snapshot.load(stage.store, stage.key)
+        return stage, None if kept is not None and kept.record.adaptive is not None else kept
+
+    def clear(self) -> None:
+        """Delete all that earlier runs have left."""
+        for store in (self._tiles, self._pilot_tiles):
+            _empty(store)
+
+    def decide(self, film: Film, record: RunRecord, end: int) -> Stage:
+        """The picture's stage, from a pilot whose film has `end` samples a replicate. Raises OSError."""
+        assert self.adaptive is not None
+        kept = end if self.adaptive.biased else 0
+        theta, values = self._levels(self.adaptive, film, record, end)
+        decided = LevelMap(self._window, values, kept)
+        self._tiles.write(levels.NAME, levels.encode(decided, self._key))
+        record.adaptive = AdaptiveUse(
+            "contrast" if self.adaptive.strategy == "contrast" else "error",
+            "fast" if self.adaptive.biased else "certified",
+            kept,
+            end * self._layout.replicates,
+            record.seconds,
+            theta,
+            {str(level): count for level, count in decided.histogram.items()},
+        )
+        if not kept:
+            record.points.clear()
+            record.ends.clear()
+            record.counts = None
+        return self._picture(decided)
+
+    def drop_pilot(self) -> None:
+        """What a certified render's pilot has left."""
+        _empty(self._pilot_tiles)
+
+    def _levels(
+        self, adaptive: Adaptive, film: Film, record: RunRecord, end: int
+    ) -> tuple[float | None, NDArray[np.uint8]]:
+        if adaptive.strategy == "contrast":
+            return None, contrast_levels(_picture_of(film, end), adaptive.contrast)
+        errors = [point.mse for point in record.points if 2 * point.samples >= record.points[-1].samples]
+        theta = theta_of(errors[0], errors[-1]) if len(errors) > 1 else theta_of(0.0, 0.0)
+        pilot = pilot_of(self._window, (film.pixels(tile, end) for tile in film.tiles))
+        return theta, error_levels(self._window, pilot, theta)
+
+    def _pilot(self, adaptive: Adaptive) -> Stage:
+        samples = self._pilot_samples(adaptive)
+        own = not adaptive.biased
+        return Stage(
+            StopRule(self._layout.replicates, samples),
+            self._pilot_tiles if own else self._tiles,
+            f"{self._key}-pilot" if own else self._key,
+            samples,
+            LevelMap(self._window),
+            self._picture(LevelMap(self._window)).rule,
+            pilot=True,
+            own_numbers=own,
+        )
+
+    def _pilot_samples(self, adaptive: Adaptive) -> int:
+        """A replicate: a power of two."""
+        replicates, most = self._layout.replicates, self._layout.samples_per_replicate
+        wanted = -(-adaptive.pilot // replicates)
+        if most is not None:
+            # A picture cannot begin with more samples than it is to have.
+            limit = most if adaptive.pilot_samples is not None else int(PILOT_BUDGET * most)
+            wanted = (
+                min(wanted, max(limit, 1)) if adaptive.biased or adaptive.pilot_samples is None else wanted
+            )
+        rounded = 1 << max(wanted - 1, 0).bit_length()
+        return rounded // 2 if adaptive.biased and most is not None and rounded > most else rounded
+
+    def _picture(self, decided: LevelMap) -> Stage:
+        stop, layout = self._stop, self._layout
+        samples, strata = layout.samples_per_replicate, layout.strata
+        if decided.levels is not None:
+            samples = decided.kept if decided.density == 0 else samples and decided.end_for(samples)
+            strata = decided.end_for(strata) if strata else 0
+        rule = StopRule(
+            layout.replicates, samples, stop.seconds, stop.relative_error, stop.confidence, levels=decided
+        )
+        return Stage(rule, self._tiles, self._key, strata, decided, rule)
+
+
+def _empty(store: FolderTileStore) -> None:
+    for name in store.names():
+        store.delete(name)
+
+
+def _picture_of(film: Film, end: int) -> NDArray[Any]:
+    """R, G and B of all pixels, (height, width, 3)."""
+    window = film.grid.window
+    rgb = np.zeros((window.height, window.width, 3), np.float32)
+    for tile in film.tiles:
+        y, x = tile.y - window.y, tile.x - window.x
+        rgb[y : y + tile.height, x : x + tile.width] = film.pixels(tile, end).mean[..., :3]
+    return rgb

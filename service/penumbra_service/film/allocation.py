@@ -1,0 +1,133 @@
+"""Where an adaptive render spends its samples: from a pilot's statistics to a level for each pixel. Pure.
+
+`error`: n_b ~ (w_b sigma_b^2 / c_b)^(1 / (1 + theta)) minimises the sum of w_b sigma_b^2 n_b^-theta over blocks at a given sum
+of c_b n_b (Lagrange). w_b = 1 / (S_b + EPSILON) is what relmse weighs a block's variance with, sigma_b^2 the variance pooled
+over the 8 x 8 block, c_b the rays that its paths took, counted: the same on every run. A part of all samples stays
+uniform, for what the pilot has not seen.
+
+`contrast`: the classic rule (Whitted 1980; Mitchell 1987 measures contrast as here). A pixel takes more samples only where it
+differs from a neighbour by more than a threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_kernels.allotment import LEVEL_NONE
+from penumbra_kernels.nodes import Tile
+
+from penumbra_service.film.error import EPSILON, block_sums, pool
+from penumbra_service.film.grid import FLAG_BLOCK, POOL_BLOCK, block_starts
+from penumbra_service.film.predict import THETA_RANGE
+from penumbra_service.film.statistics import PixelStatistics
+
+BLOCK: Final = FLAG_BLOCK
+"""Side of the blocks that share a level, pixels."""
+UNIFORM_SHARE: Final = 0.25
+"""Of all samples: spread evenly whatever the pilot says."""
+MOST: Final = 16.0
+"""No block gets more than this times the mean: one block's rare bright sample must not take the picture's budget."""
+DARK: Final = 0.01
+"""Radiance: differences that are small against it are no contrast."""
+
+
+@dataclass(frozen=True)
+class BlockPilot:
+    """What a pilot says of the blocks of a window, rows x columns each."""
+
+    pixels: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    """Mean over pixels and R G B of the variance of the pixel's mean."""
+    weight: NDArray[np.float64]
+    """1 / (S + EPSILON), S pooled over POOL_BLOCK as relmse does it."""
+    cost: NDArray[np.float64]
+    """Rays a path."""
+
+
+def pilot_of(window: Tile, tiles: Iterable[PixelStatistics]) -> BlockPilot:
+    """Pool a pilot's pixels, tile by tile; tiles consist of whole POOL_BLOCK blocks, but for the window's edges."""
+    rows = len(block_starts(window.y, window.height, BLOCK))
+    columns = len(block_starts(window.x, window.width, BLOCK))
+    pixels, variance, weight, rays, paths = (np.zeros((rows, columns)) for _ in range(5))
+    for part in tiles:
+        tile = part.tile
+        y, x = tile.y // BLOCK - window.y // BLOCK, tile.x // BLOCK - window.x // BLOCK
+        fine = block_sums(part, BLOCK)
+        at = np.s_[y : y + fine.pixels.shape[0], x : x + fine.pixels.shape[1]]
+        pixels[at], variance[at] = fine.pixels, fine.variance
+        weight[at] = _weights(part)
+        rays[at] = pool(part.rays, tile, BLOCK)
+        paths[at] = pool(part.taken + part.rejected, tile, BLOCK)
+    known = np.maximum(pixels, 1)
+    return BlockPilot(pixels, variance / known, weight, np.maximum(rays / np.maximum(paths, 1), 1.0))
+
+
+def _weights(part: PixelStatistics) -> NDArray[np.float64]:
+    """Each block's 1 / (S + EPSILON), S of the POOL_BLOCK block that it lies in."""
+    pooled = block_sums(part, POOL_BLOCK)
+    count = np.maximum(pooled.pixels, 1)
+    least = np.square(pooled.mean / count[..., None]).mean(axis=-1)
+    weight = 1 / (np.maximum((pooled.square - pooled.variance) / count, least) + EPSILON)
+    rows = _parents(part.tile.y, part.tile.height)
+    result: NDArray[np.float64] = weight[rows][:, _parents(part.tile.x, part.tile.width)]
+    return result
+
+
+def _parents(first: int, count: int) -> NDArray[np.intp]:
+    """For each BLOCK along an edge of a tile, the POOL_BLOCK that it lies in, both counted from the tile's start."""
+    starts = np.array(block_starts(first, count, BLOCK)) + first
+    return np.asarray(starts // POOL_BLOCK - first // POOL_BLOCK, np.intp)
+
+
+def theta_of(halfway: float, whole: float) -> float:
+    """The exponent by which the pilot's mean variance fell from half of its samples to all, within what paths can
+    do; the middle of the range where that cannot be told."""
+    if not (halfway > 0 and whole > 0 and np.isfinite(halfway) and np.isfinite(whole)):
+        return sum(THETA_RANGE) / 2
+    return min(max(float(np.log2(halfway / whole)), THETA_RANGE[0]), THETA_RANGE[1])
+
+
+def densities(pilot: BlockPilot, theta: float) -> NDArray[np.float64]:
+    """Samples of a block's pixels over their mean over the picture, rows x columns."""
+    need = (pilot.weight * pilot.variance / pilot.cost) ** (1 / (1 + theta))
+    mean = float((need * pilot.pixels).sum() / max(pilot.pixels.sum(), 1))
+    if mean <= 0:
+        return np.ones_like(need)
+    shared = UNIFORM_SHARE + (1 - UNIFORM_SHARE) * need / mean
+    return np.asarray(np.minimum(shared, MOST))
+
+
+def error_levels(window: Tile, pilot: BlockPilot, theta: float) -> NDArray[np.uint8]:
+    """(height, width): levels whose densities 2^-level are nearest, in the logarithm, to what the blocks should have."""
+    density = densities(pilot, theta)
+    levels = np.rint(np.log2(density.max() / density)).astype(np.uint8)
+    rows = np.diff([*block_starts(window.y, window.height, BLOCK), window.height])
+    columns = np.diff([*block_starts(window.x, window.width, BLOCK), window.width])
+    result: NDArray[np.uint8] = np.repeat(np.repeat(levels, rows, axis=0), columns, axis=1)
+    return result
+
+
+def contrast_levels(rgb: NDArray[Any], threshold: float) -> NDArray[np.uint8]:
+    """(height, width): 0 where a pixel of `rgb` (height, width, 3) differs from one of its up to eight neighbours by more
+    than the threshold, in R, G or B; LEVEL_NONE elsewhere. Both pixels of such a pair count."""
+    refined = np.zeros(rgb.shape[:2], bool)
+    for here, there in _pairs():
+        a, b = rgb[here], rgb[there]
+        differs = (np.abs(a - b) > threshold * (np.abs(a) + np.abs(b) + DARK)).any(axis=-1)
+        refined[here] |= differs
+        refined[there] |= differs
+    return np.where(refined, 0, LEVEL_NONE).astype(np.uint8)
+
+
+def _pairs() -> tuple[tuple[Any, Any], ...]:
+    """Every pair of neighbours once: to the right, below, and along both diagonals."""
+    return (
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:-1, :], np.s_[1:, :]),
+        (np.s_[:-1, :-1], np.s_[1:, 1:]),
+        (np.s_[:-1, 1:], np.s_[1:, :-1]),
+    )
