@@ -25,6 +25,7 @@ from penumbra_scene.job import (
     ProgressEvent,
     Validation,
 )
+from penumbra_scene.quote import Quote
 
 from penumbra_client.errors import (
     ClientError,
@@ -52,6 +53,8 @@ _TRIES: Final = 3
 _BLOCK: Final = 1 << 20
 _UPLOAD_TIMEOUT: Final = httpx.Timeout(300.0, connect=5.0)
 """Seconds: the service decodes an asset before it answers."""
+_QUOTE_TIMEOUT: Final = httpx.Timeout(360.0, connect=5.0)
+"""Seconds: the service may have to compile, and to finish what its devices are at."""
 
 
 class Client:
@@ -103,6 +106,16 @@ class Client:
         """Have the service check a scene without rendering it; arguments as for `submit`."""
         request = self._request(scene, folder, settings)
         return self._connection.document(Validation, "POST", "/v1/validate", **_as_json(request))
+
+    def quote(self, scene: str | Path | JsonObject, folder: Path | None = None, **settings: Any) -> Quote:
+        """What a scene would cost on the service's devices: relative errors with samples and seconds.
+
+        Arguments as for `submit`. Takes some two seconds, and as long as the service has to compile.
+        """
+        request = self._request(scene, folder, settings)
+        return self._connection.document(
+            Quote, "POST", "/v1/quotes", timeout=_QUOTE_TIMEOUT, **_as_json(request)
+        )
 
     def submit(
         self,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:  # devices start before the models of scenes are imported
     from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
+    from penumbra_scene.quote import Quote
     from penumbra_scene.receipt import Receipt
 
 ENTRY_POINTS: Final = "penumbra.engines"
@@ -45,6 +46,9 @@ class Engine(Protocol):
 
         `devices` are ids with commas between them, or "" for all. Blocks; reports as it goes.
         """
+
+    def quote(self, request: JobRequest, folder: Path, devices: str) -> Quote:
+        """What that would cost, without rendering it."""
 
 
 def find_engine(command: str) -> Engine:

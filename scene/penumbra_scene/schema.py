@@ -9,11 +9,19 @@ from typing import Any, Final
 
 from penumbra_scene.base import Model
 from penumbra_scene.job import JobChange, JobRequest
+from penumbra_scene.quote import Quote
 from penumbra_scene.receipt import Receipt
 from penumbra_scene.scene import Scene
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
-PUBLISHED: Final[dict[str, type[Model]]] = {"scene": Scene, "job": JobRequest, "receipt": Receipt}
+PUBLISHED: Final[dict[str, type[Model]]] = {
+    "scene": Scene,
+    "job": JobRequest,
+    "receipt": Receipt,
+    "quote": Quote,
+}
+_ANSWERS: Final = (Receipt, Quote)
+"""What Penumbra writes, and nobody sends."""
 _FOLDER: Final = Path(__file__).resolve().parents[2] / "docs" / "schema"
 
 
@@ -24,9 +32,9 @@ def input_schema(title: str) -> dict[str, Any]:
 
 
 def published(name: str) -> dict[str, Any]:
-    """The schema under its published name: scene, job or receipt."""
+    """The schema under its published name: scene, job, receipt or quote."""
     model = PUBLISHED[name]
-    schema = model.model_json_schema(mode="serialization" if model is Receipt else "validation")
+    schema = model.model_json_schema(mode="serialization" if model in _ANSWERS else "validation")
     return {"$schema": DIALECT, "$id": f"urn:penumbra:schema:{name}:1", **schema}
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
-from penumbra_service.api import assets, events, frames, jobs, openapi, problems, results, system
+from penumbra_service.api import assets, events, frames, jobs, openapi, problems, quotes, results, system
 from penumbra_service.api.guard import Guard
 from penumbra_service.api.limits import LimitBodies
 from penumbra_service.api.metrics import CountRequests, Metrics
@@ -57,7 +57,7 @@ def create_app(settings: Settings, runner: Runner | None = None) -> FastAPI:
     app.state.metrics = Metrics(service)
     problems.install(app)
     openapi.install(app)
-    for module in (jobs, results, frames, events, assets, system):
+    for module in (jobs, quotes, results, frames, events, assets, system):
         app.include_router(module.router)
     _add_pages(app)
     app.add_middleware(LimitBodies, settings=settings)

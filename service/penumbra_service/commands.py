@@ -17,6 +17,7 @@ from penumbra_scene.exits import Exit
 
 if TYPE_CHECKING:
     from penumbra_scene.job import DevicePage, JobRequest, ProgressEvent
+    from penumbra_scene.quote import Quote
     from penumbra_scene.receipt import Receipt
 
     from penumbra_service.engine.launch import Child
@@ -296,6 +297,12 @@ class LocalEngine:
 
         first, self._first = self._first, None
         return render(request, folder, out, devices, report, first)
+
+    def quote(self, request: JobRequest, folder: Path, devices: str) -> Quote:
+        """What a job would cost; arguments as for `render`. Raises CommandError."""
+        from penumbra_service.rendering import quote
+
+        return quote(request, folder, devices)
 
 
 ENGINE: Final = LocalEngine()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from penumbra_scene.job import DeviceStatus
+from pathlib import Path
+
+from penumbra_scene.job import DeviceStatus, JobRequest
+from penumbra_scene.quote import Quote
 
 from penumbra_service.engine.launch import Child, ids_of
 from penumbra_service.engine.local import LocalEngine
 from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.frames import run_frames
 from penumbra_service.picture import Picture, PictureRunner
+from penumbra_service.quoting import make_quote
 from penumbra_service.running import Outcome, Task
 from penumbra_service.sequence import frames_at_once
 from penumbra_service.service import decode_limits
@@ -37,10 +41,12 @@ class LocalRunner:
     def __init__(self, settings: Settings, engine: ServedEngine | None = None) -> None:
         """`engine`: by default the one that the settings name. Raises SettingsError."""
         self._engine = engine or engine_of(settings)
+        self._assets = settings.assets_folder
+        self._decode = decode_limits(settings)
         self._pictures = PictureRunner(
             self._engine,
-            settings.assets_folder,
-            decode=decode_limits(settings),
+            self._assets,
+            decode=self._decode,
             verify=settings.verify_share,
         )
 
@@ -83,3 +89,7 @@ class LocalRunner:
             return self._pictures.run(picture)
         at_once = frames_at_once(len(self._engine.usable()))
         return run_frames(self._pictures, request, picture, task.frames, at_once)
+
+    def quote(self, request: JobRequest, folder: Path) -> Quote:
+        """See running.Runner."""
+        return make_quote(self._engine, request, folder, self._assets, decode=self._decode)

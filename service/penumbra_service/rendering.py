@@ -1,15 +1,16 @@
-"""`penumbra render` and `penumbra devices`: this machine's devices in processes of their own, no service."""
+"""`penumbra render`, `penumbra quote` and `penumbra devices`: this machine's devices in processes of their own, no service."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 from penumbra_kernels import cache
-from penumbra_scene.errors import TYPE_PREFIX
+from penumbra_scene.errors import TYPE_PREFIX, Problem, ProblemError
 from penumbra_scene.exits import Exit
 from penumbra_scene.job import (
     DevicePage,
@@ -18,6 +19,7 @@ from penumbra_scene.job import (
     JobState,
     ProgressEvent,
 )
+from penumbra_scene.quote import Quote
 from penumbra_scene.receipt import Receipt
 
 from penumbra_service.commands import CommandError
@@ -27,6 +29,7 @@ from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.status import device_status
 from penumbra_service.frames import run_frames
 from penumbra_service.picture import Picture, PictureRunner
+from penumbra_service.quoting import make_quote
 from penumbra_service.results import ALL, OF_SEQUENCE, frame_folder
 from penumbra_service.running import Control, EndedFrame, Outcome
 from penumbra_service.sequence import frames_at_once
@@ -71,12 +74,8 @@ def render(
     """
     with (
         tempfile.TemporaryDirectory(prefix=".penumbra-", dir=out) as work,
-        LocalEngine(ids_of(devices), first=first) as engine,
+        local_engine(devices, first=first) as engine,
     ):
-        try:
-            usable = engine.wait_known()
-        except NoDeviceError as error:
-            raise CommandError(str(error), Exit.DEVICE) from error
         if not request.sequence:
             receipt = render_on(engine, request, folder, Path(work), report)
             _move(Path(work), out, ALL)
@@ -84,7 +83,9 @@ def render(
         book = _OutBook(Path(work), out)
         whole = _picture(request, Path(work), report)
         try:
-            outcome = run_frames(_pictures(engine, folder), request, whole, book, frames_at_once(len(usable)))
+            outcome = run_frames(
+                _pictures(engine, folder), request, whole, book, frames_at_once(len(engine.usable()))
+            )
         finally:
             _move(Path(work), out, OF_SEQUENCE)
         _raise_problem(outcome)
@@ -105,10 +106,38 @@ def render_on(
     return outcome.receipt
 
 
+def quote(request: JobRequest, folder: Path, devices: str) -> Quote:
+    """What a job would cost on this machine; arguments as for `render`. Raises CommandError."""
+    with tempfile.TemporaryDirectory(prefix="penumbra-") as work, local_engine(devices) as engine:
+        try:
+            return make_quote(engine, request, Path(work), assets_folder(), scene_folder=folder)
+        except ProblemError as error:
+            raise _command_error(error.problem) from error
+
+
+@contextmanager
+def local_engine(devices: str, first: Child | None = None) -> Iterator[LocalEngine]:
+    """An engine of this machine that knows its devices; ids with commas between them, or "" for all.
+
+    Raises CommandError.
+    """
+    with LocalEngine(ids_of(devices), first=first) as engine:
+        try:
+            engine.wait_known()
+        except NoDeviceError as error:
+            raise CommandError(str(error), Exit.DEVICE) from error
+        yield engine
+
+
+def assets_folder() -> Path:
+    """Where decoded assets are kept where there is no service."""
+    folder = cache.folder() / "assets"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def _pictures(engine: ServedEngine, folder: Path) -> PictureRunner:
-    assets = cache.folder() / "assets"
-    assets.mkdir(parents=True, exist_ok=True)
-    return PictureRunner(engine, assets, scene_folder=folder)
+    return PictureRunner(engine, assets_folder(), scene_folder=folder)
 
 
 def _picture(request: JobRequest, work: Path, report: Callable[[ProgressEvent], None]) -> Picture:
@@ -164,7 +193,10 @@ def _move(source: Path, target: Path, names: Iterable[str]) -> None:
 
 
 def _raise_problem(outcome: Outcome) -> None:
-    problem = outcome.problem
-    if problem is not None:
-        kind = problem.type.removeprefix(f"{TYPE_PREFIX}job-")
-        raise CommandError(problem.detail, EXITS.get(kind, Exit.FAILED))
+    if outcome.problem is not None:
+        raise _command_error(outcome.problem)
+
+
+def _command_error(problem: Problem) -> CommandError:
+    kind = problem.type.removeprefix(f"{TYPE_PREFIX}job-")
+    return CommandError(problem.detail, EXITS.get(kind, Exit.FAILED))

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from penumbra_scene.errors import Problem
 from penumbra_scene.job import DeviceStatus, JobRequest, JobState, StopReason
+from penumbra_scene.quote import Quote
 from penumbra_scene.receipt import Receipt
 
 
@@ -154,6 +155,12 @@ class Runner(Protocol):
     def run(self, task: Task) -> Outcome:
         """Blocks until the job has ended or `task.control` asked for a stop. Goes on from a snapshot, if
         any."""
+
+    def quote(self, request: JobRequest, folder: Path) -> Quote:
+        """Renders a pilot ahead of all jobs; `folder` is for its files, and the caller removes it. Blocks.
+
+        Raises ProblemError.
+        """
 
     def devices(self) -> list[DeviceStatus]:
         """Every device as it stands."""

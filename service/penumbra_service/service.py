@@ -6,11 +6,16 @@ pausing and overtaking are all done by asking the runner to stop: it leaves a sn
 
 from __future__ import annotations
 
+import threading
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
 
+from penumbra_scene.errors import ProblemError, make_problem
 from penumbra_scene.job import JobRequest, JobState, StopReason
 from penumbra_scene.parse import job_from_json, parse_json
+from penumbra_scene.quote import Quote
 
 from penumbra_service.housekeeping import Housekeeper
 from penumbra_service.images.assets import FolderAssets
@@ -26,6 +31,9 @@ from penumbra_service.store.frames import FrameStore
 from penumbra_service.store.jobs import JobRow, JobStore, NewJob, SqlJobStore
 from penumbra_service.store.keys import ApiKey, KeyStore
 from penumbra_service.watchers import Watchers
+
+QUOTE_WAIT_SECONDS: Final = 30.0
+"""A quote waits at most so long for others to be made."""
 
 
 class ConflictError(Exception):
@@ -71,6 +79,7 @@ class RenderService:
         self.assets = FolderAssets(settings.assets_folder, limits=decode_limits(settings))
         self.watchers = Watchers()
         self.started = datetime.now(UTC)
+        self._quoting = threading.Lock()
         self.queue = JobQueue(
             settings,
             self.jobs,
@@ -124,6 +133,21 @@ class RenderService:
         self.device_seconds += device_seconds
         if row.owner is not None:
             self.keys.charge(row.owner, device_seconds)
+
+    def quote(self, request: JobRequest) -> Quote:
+        """What a job would cost on the devices at hand. One quote at a time: others wait for it.
+
+        Raises ProblemError: 503 where the wait is too long, 422 and 5xx as for a job that fails.
+        """
+        if not self._quoting.acquire(timeout=QUOTE_WAIT_SECONDS):
+            detail = f"other quotes took more than {QUOTE_WAIT_SECONDS:g} s; ask again"
+            raise ProblemError(make_problem("busy", "Other quotes are being made", 503, detail))
+        try:
+            self.settings.work_folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(prefix="quote-", dir=self.settings.work_folder) as folder:
+                return self.runner.quote(request, Path(folder))
+        finally:
+            self._quoting.release()
 
     def cancel(self, job_id: str) -> JobRow:
         """Ends a job; one that is cancelled already stays so. Raises NoSuchJobError, ConflictError."""

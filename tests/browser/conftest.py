@@ -16,8 +16,10 @@ from typing import Any
 
 import pytest
 import uvicorn
-from penumbra_scene.errors import make_problem
-from penumbra_scene.job import DeviceState, DeviceStatus, JobState, StopReason
+from penumbra_scene.errors import ProblemError, make_problem
+from penumbra_scene.job import DeviceState, DeviceStatus, JobRequest, JobState, StopReason
+from penumbra_scene.quote import Quote
+from penumbra_service.api.openapi import QUOTE_ANSWER
 from penumbra_service.app import create_app
 from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
 from penumbra_service.running import Outcome, Task
@@ -98,6 +100,9 @@ def receipt_of(task: Task, steps: int) -> str:
     return json.dumps(receipt)
 
 
+QUOTE = Quote.model_validate(QUOTE_ANSWER["content"]["application/json"]["example"])
+
+
 class SteppingRunner:
     """Renders as far as `let(n)` allows, in STEPS steps; then fails if told to."""
 
@@ -117,6 +122,12 @@ class SteppingRunner:
 
     def stop(self) -> None:
         """Nothing to stop."""
+
+    def quote(self, request: JobRequest, folder: Path) -> Quote:
+        if self.fail:
+            raise ProblemError(make_problem("job-device", "There is no device to render on", 503, "none"))
+        (folder / "scene.json").write_text("{}")
+        return QUOTE.model_copy(update={"name": request.scene.name})
 
     def devices(self) -> list[DeviceStatus]:
         return [

@@ -219,6 +219,27 @@ def test_a_scene_is_checked_then_rendered_from_the_form(served: Any, page: Any, 
     assert len(httpx.get(f"{served.url}/v1/jobs").json()["items"]) == 1
 
 
+def test_a_quote_shows_what_errors_cost_and_keeps_the_scene(served: Any, page: Any, scene: Scene) -> None:
+    page.goto(f"{served.url}/submit")
+    page.get_by_label("Scene", exact=True).fill(json.dumps(scene))
+    page.get_by_role("button", name="Quote").click()
+    expect(page.get_by_role("heading", name="What two balls would cost")).to_be_visible()
+    row = page.locator(".quote tr.asked")
+    expect(row).to_contain_text("5.0 %")
+    expect(row).to_contain_text("1.2 s to 2.6 s")
+    assert httpx.get(f"{served.url}/v1/jobs").json()["items"] == []
+    page.get_by_role("button", name="Render").click()
+    expect(page.get_by_role("heading", name="two balls")).to_be_visible()
+
+
+def test_a_quote_that_fails_says_why(served: Any, page: Any, scene: Scene) -> None:
+    served.runner.fail = True
+    page.goto(f"{served.url}/submit")
+    page.get_by_label("Scene", exact=True).fill(json.dumps(scene))
+    page.get_by_role("button", name="Quote").click()
+    expect(page.locator(".problem")).to_contain_text("There is no device to render on")
+
+
 def test_a_file_of_two_megabytes_can_be_submitted(
     served: Any, page: Any, scene: Scene, tmp_path: Any
 ) -> None:

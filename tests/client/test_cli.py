@@ -203,6 +203,47 @@ def test_no_service_is_its_own_status(scene: str, monkeypatch: pytest.MonkeyPatc
     assert main(["submit", scene, "--server", "http://127.0.0.1:9"]) == Exit.UNREACHABLE
 
 
+RANGE = {"low": 1.2, "high": 2.6}
+QUOTE: dict[str, Any] = {
+    "name": "a ball", "scene_hash": "sha256:a", "picture_hash": "sha256:b", "stop": {"relative_error": 0.02},
+    "sampler": "sobol", "replicates": 8, "theta": 1.12, "seconds_per_sample": 0.02,
+    "table": [
+        {"relative_error": e, "samples": 96 * i, "samples_interval": {"low": 64 * i, "high": 128 * i},
+         "seconds": 1.9 * i, "seconds_interval": {"low": 1.2 * i, "high": 2.6 * i}}
+        for e, i in ((0.05, 1), (0.02, 6))
+    ],
+    "end": {"reason": "relative_error", "samples": 576, "samples_interval": RANGE, "seconds": 11.4,
+            "seconds_interval": {"low": 7.2, "high": 15.6}, "relative_error": 0.0195},
+    "compile": {"seconds": 4.1, "warm": False}, "build": {"seconds": 0.1, "warm": True},
+    "pilot": {"pixels": 32000, "blocks": 125, "blocks_in_picture": 300, "samples": 128, "seconds": 1.8},
+    "warnings": ["it may be dearer"],
+}  # fmt: skip
+
+
+def test_quote_prints_a_row_for_each_error_and_its_range_on_an_axis(
+    service: Any, scene: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service.on("POST /v1/quotes", service.answer(QUOTE))
+    assert main(["quote", scene, "--server", service.address, "--error", "2%"]) == Exit.OK
+    assert service.asked[-1].json["stop"] == {"relative_error": 0.02}
+    said = capsys.readouterr().out.splitlines()
+    assert "11.4 s (7.2 s to 15.6 s) of tracing" in said[0]
+    assert "4.1 s on top" in said[1]
+    assert "it is cached" in said[1]
+    (coarse,) = [line for line in said if line.lstrip().startswith("5 %")]
+    (fine,) = [line for line in said if line.lstrip().startswith("2 %")]
+    assert coarse.split()[2:4] == ["96", "1.9"]
+    assert fine.index("●") > coarse.index("●")
+    assert fine.count("─") == pytest.approx(coarse.count("─"), abs=2)  # equal factors on a logarithmic axis
+    assert said[-1] == "warning: it may be dearer"
+
+
+def test_quote_prints_json_for_programs(service: Any, scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    service.on("POST /v1/quotes", service.answer(QUOTE))
+    assert main(["quote", scene, "--url", service.address, "--json"]) == Exit.OK
+    assert json.loads(capsys.readouterr().out)["table"][1]["seconds"] == pytest.approx(11.4)
+
+
 def test_validate_says_where_what_was_given_and_what_is_accepted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

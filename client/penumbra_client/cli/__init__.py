@@ -58,6 +58,7 @@ BUILT_IN: Final = (
     "watch",
     "fetch",
     "render",
+    "quote",
     "validate",
     "devices",
     "jobs",

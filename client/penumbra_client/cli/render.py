@@ -59,7 +59,7 @@ def _render(engine: Engine, arguments: argparse.Namespace) -> int:
     from penumbra_client.scenefile import named_files, read_scene, resolve_file
 
     document, folder = read_scene(arguments.scene)
-    request = _request(document, settings(arguments, document))
+    request = checked_request(document, settings(arguments, document))
     for pointer, name in named_files(document):
         resolve_file(folder, name, pointer)
     out = Path(arguments.out)
@@ -78,7 +78,7 @@ def _render(engine: Engine, arguments: argparse.Namespace) -> int:
     return Exit.OK
 
 
-def _request(document: dict[str, Any], given: dict[str, Any]) -> JobRequest:
+def checked_request(document: dict[str, Any], given: dict[str, Any]) -> JobRequest:
     """The job, checked. Raises RefusedError with pointers into the file."""
     from penumbra_scene.errors import ProblemError
     from penumbra_scene.parse import job_from_json

@@ -50,6 +50,54 @@ JOB_BODY: Final[dict[str, Any]] = {
     }
 }
 
+_CERTAIN: Final = {"confidence": 0.95}
+QUOTE_ANSWER: Final[dict[str, Any]] = {
+    "description": "The quote",
+    "content": {
+        "application/json": {
+            "example": {
+                "schema_version": 1,
+                "name": EXAMPLE_SCENE["name"],
+                "scene_hash": "sha256:" + "5e" * 32,
+                "picture_hash": "sha256:" + "1c" * 32,
+                "stop": {"relative_error": 0.05, "seconds": 60, "confidence": 0.95},
+                "sampler": "sobol",
+                "replicates": 8,
+                "table": [
+                    {
+                        "relative_error": 0.05,
+                        "samples": 96,
+                        "samples_interval": {"low": 64, "high": 128, **_CERTAIN},
+                        "seconds": 1.9,
+                        "seconds_interval": {"low": 1.2, "high": 2.6, **_CERTAIN},
+                    }
+                ],
+                "end": {
+                    "reason": "relative_error",
+                    "samples": 96,
+                    "samples_interval": {"low": 64, "high": 128, **_CERTAIN},
+                    "seconds": 1.9,
+                    "seconds_interval": {"low": 1.2, "high": 2.6, **_CERTAIN},
+                    "relative_error": 0.047,
+                    "relative_error_interval": {"low": 0.042, "high": 0.052, **_CERTAIN},
+                },
+                "theta": 1.12,
+                "theta_interval": [1.02, 1.22],
+                "seconds_per_sample": 0.0198,
+                "compile": {"seconds": 4.1, "warm": False},
+                "build": {"seconds": 0.05, "warm": False},
+                "pilot": {
+                    "pixels": 32000,
+                    "blocks": 125,
+                    "blocks_in_picture": 300,
+                    "samples": 128,
+                    "seconds": 1.8,
+                },
+            }
+        }
+    },
+}
+
 CHANGE_BODY: Final[dict[str, Any]] = {
     "requestBody": {
         "required": True,

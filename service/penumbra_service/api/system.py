@@ -58,13 +58,13 @@ def workers(request: Request) -> WorkerPage:
 
 @router.get("/v1/schema")
 def schemas() -> dict[str, str]:
-    """Where the JSON Schemas of scenes, jobs and receipts are."""
+    """Where the JSON Schemas of scenes, jobs, receipts and quotes are."""
     return {name: f"/v1/schema/{name}" for name in PUBLISHED}
 
 
 @router.get("/v1/schema/{name}")
 def schema(name: str) -> JSONResponse:
-    """JSON Schema (2020-12) of `scene`, `job` or `receipt`."""
+    """JSON Schema (2020-12) of `scene`, `job`, `receipt` or `quote`."""
     name = name.removesuffix(".json").removesuffix(".schema")
     if name not in PUBLISHED:
         raise refuse(404, f"there is no schema {name!r}; there are: {', '.join(PUBLISHED)}")

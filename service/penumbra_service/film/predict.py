@@ -111,6 +111,32 @@ def predict(points: Sequence[Point], target: float, confidence: float = 0.95) ->
     return Prediction(n, low, high, seconds[0], seconds[1], seconds[2], fit.theta)
 
 
+def error_at(
+    points: Sequence[Point], samples: float, confidence: float = 0.95
+) -> tuple[float, float, float] | None:
+    """The relative error after `samples` a pixel with the ends of its interval; None where nothing is known yet."""
+    known = [p for p in points if p.relmse > 0 and math.isfinite(p.relmse)]
+    if not known or samples <= 0:
+        return None
+    last, fit, z = known[-1], fit_theta(known), normal_quantile(confidence)
+    grown = samples / last.samples
+    thetas = [
+        min(max(fit.theta + z * d, THETA_RANGE[0]), THETA_RANGE[1]) for d in (-fit.deviation, fit.deviation)
+    ]
+    ends = [
+        last.relmse * max(1 + z * d, 0.1) * grown**-theta
+        for d in (-last.deviation, last.deviation)
+        for theta in thetas
+    ]
+    return math.sqrt(last.relmse * grown**-fit.theta), math.sqrt(min(ends)), math.sqrt(max(ends))
+
+
+def splitting_price(replicates: int, theta: float) -> float:
+    """Samples to a given error in so many replicates over those of one sequence, R^((theta-1)/theta): a replicate
+    has n/R samples, hence R^theta times the variance of n, of which the mean keeps 1/R."""
+    return float(replicates ** ((theta - 1) / theta))
+
+
 def _seconds_per_sample(points: Sequence[Point]) -> float:
     last = points[-1]
     earlier = [p for p in points if p.samples <= last.samples / 2 and p.seconds < last.seconds]

@@ -12,7 +12,7 @@ from typing import Final
 
 from penumbra_scene.job import ErrorPoint
 
-from penumbra_service.web.words import count, duration, percent
+from penumbra_service.web.words import brief, count, percent
 
 WIDTH: Final = 460
 HEIGHT: Final = 260
@@ -88,7 +88,7 @@ def error_plot(
     return Plot(
         title=f"Relative error against {name}",
         x_label=name,
-        x_ticks=_ticks(x_axis, count if over == "samples" else duration),
+        x_ticks=_ticks(x_axis, count if over == "samples" else brief),
         y_ticks=_ticks(y_axis, percent),
         line=_joined(dots),
         dots=dots,

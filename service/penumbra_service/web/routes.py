@@ -36,6 +36,7 @@ from penumbra_service.store.jobs import JobRow, NoSuchJobError
 from penumbra_service.web import words
 from penumbra_service.web.locate import line_of
 from penumbra_service.web.pages import PAGE_LENGTH, page_of, view_of
+from penumbra_service.web.quotes import quote_view
 
 HERE: Final = Path(__file__).parent
 STATIC: Final = HERE / "static"
@@ -186,23 +187,26 @@ def act(request: Request, job_id: str, action: str) -> Response:
 @router.get("/submit")
 def submit_page(request: Request) -> Response:
     """A form for a scene."""
-    return _page(request, "submit.html", text="", problem=None, found=None)
+    return _page(request, "submit.html", text="", problem=None)
 
 
 @router.post("/submit")
 async def submit(request: Request) -> Response:
-    """Checks the scene, or renders it. What is wrong is shown beside the text that was sent."""
+    """Checks the scene, says what it would cost, or renders it. What is wrong is shown beside the text that was
+    sent."""
     service = _service(request)
     limit = service.settings.max_body_bytes
     async with request.form(max_files=1, max_fields=8, max_part_size=limit + _FORM_SLACK) as form:
         text = await _document(form.get("document"), form.get("file"))
-        checking = form.get("action") == "check"
+        action = form.get("action")
     try:
         sent = await run_in_threadpool(parse_submission, text, limit, service.assets)
     except ProblemError as error:
         return await run_in_threadpool(_refused, request, text, error.problem)
-    if checking:
+    if action == "check":
         return await run_in_threadpool(_checked, request, text, sent)
+    if action == "quote":
+        return await run_in_threadpool(_quoted, request, text, sent)
     key = getattr(request.state, "api_key", None)
     made = new_job(sent.request, sent.text, sent.digest, None if key is None else str(key.id), None)
     try:
@@ -225,7 +229,7 @@ async def _document(pasted: Any, file: Any) -> bytes:
 def _refused(request: Request, body: bytes, problem: Problem) -> Response:
     text = body.decode("utf-8", "replace")
     items = [(item, line_of(text, item.pointer)) for item in problem.errors]
-    return _page(request, "submit.html", problem.status, text=text, problem=problem, items=items, found=None)
+    return _page(request, "submit.html", problem.status, text=text, problem=problem, items=items)
 
 
 def _checked(request: Request, body: bytes, sent: Submission) -> Response:
@@ -235,6 +239,15 @@ def _checked(request: Request, body: bytes, sent: Submission) -> Response:
         "warnings": [finding for finding in check_scene(scene) if finding.warning],
     }
     return _page(request, "submit.html", text=body.decode("utf-8"), problem=None, found=found)
+
+
+def _quoted(request: Request, body: bytes, sent: Submission) -> Response:
+    text = body.decode("utf-8")
+    try:
+        quote = _service(request).quote(sent.request)
+    except ProblemError as error:
+        return _page(request, "submit.html", error.problem.status, text=text, problem=error.problem, items=[])
+    return _page(request, "submit.html", text=text, problem=None, quote=quote_view(quote))
 
 
 @router.get("/devices")

@@ -48,6 +48,16 @@ def duration(seconds: float | None) -> str:
     return f"{whole} s"
 
 
+def brief(seconds: float) -> str:
+    """Seconds under an axis, in one unit: 200.0 -> '200 s', 20000.0 -> '333 min'."""
+    if seconds < 1000:
+        return duration(seconds) if seconds < 9.95 else f"{seconds:.0f} s"
+    for size, unit in ((60, "min"), (3600, "h")):
+        if seconds < 1000 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 86400:.3g} d"
+
+
 def count(number: float | None) -> str:
     """1234567 -> '1 234 567', with narrow spaces that do not break; fractions of small numbers are kept."""
     if number is None:

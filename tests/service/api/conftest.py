@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from penumbra_scene.errors import make_problem
-from penumbra_scene.job import DeviceState, DeviceStatus, JobState, StopReason
+from penumbra_scene.errors import ProblemError, make_problem
+from penumbra_scene.job import DeviceState, DeviceStatus, JobRequest, JobState, StopReason
+from penumbra_scene.quote import Quote
+from penumbra_service.api.openapi import QUOTE_ANSWER
 from penumbra_service.app import create_app
 from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
 from penumbra_service.running import Outcome, Task
@@ -26,6 +28,8 @@ SCENE: dict[str, Any] = {
     "film": {"width": 32, "height": 24},
     "shapes": [{"type": "quad", "emission": {"radiance": 1}}],
 }
+
+QUOTE = Quote.model_validate(QUOTE_ANSWER["content"]["application/json"]["example"])
 
 
 class FakeRunner:
@@ -51,6 +55,12 @@ class FakeRunner:
 
     def stop(self) -> None:
         self.stopped = True
+
+    def quote(self, request: JobRequest, folder: Path) -> Quote:
+        if self.fail:
+            raise ProblemError(make_problem("job-device", "There is no device to render on", 503, "none"))
+        (folder / "scene.json").write_text("{}")
+        return QUOTE.model_copy(update={"name": request.scene.name})
 
     def devices(self) -> list[DeviceStatus]:
         return [DeviceStatus(id="fake-0", name="Fake", platform="None", state=DeviceState.IDLE)]

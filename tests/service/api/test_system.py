@@ -65,7 +65,9 @@ def test_metrics_can_be_scraped(
 
 
 def test_schemas_are_published_and_accept_the_example(client: TestClient) -> None:
-    assert client.get("/v1/schema").json() == {n: f"/v1/schema/{n}" for n in ("scene", "job", "receipt")}
+    assert client.get("/v1/schema").json() == {
+        n: f"/v1/schema/{n}" for n in ("scene", "job", "receipt", "quote")
+    }
     schema = client.get("/v1/schema/scene").json()
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(EXAMPLE_SCENE, schema)

@@ -170,6 +170,21 @@ def test_durations(seconds: float | None, text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.02, "20 ms"),
+        (5.0, "5.0 s"),
+        (200.0, "200 s"),
+        (20000.0, "333 min"),
+        (2e5, "55.6 h"),
+        (1e7, "116 d"),
+    ],
+)
+def test_durations_under_an_axis_have_one_unit(seconds: float, text: str) -> None:
+    assert words.brief(seconds) == text
+
+
+@pytest.mark.parametrize(
     ("number", "text"), [(None, "–"), (0, "0"), (88.25, "88.2"), (1234567, "1\u202f234\u202f567")]
 )
 def test_counts(number: float | None, text: str) -> None:

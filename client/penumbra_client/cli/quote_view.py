@@ -1,0 +1,121 @@
+"""A quote on the terminal: a row for each error, its seconds as a range on one logarithmic axis."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+from penumbra_scene.job import Interval
+from penumbra_scene.quote import Quote, QuotedEnd, QuotedError
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from penumbra_client.cli.progress import duration, percent
+
+LEAST_CELLS: Final = 12
+MOST_CELLS: Final = 48
+"""Of the axis."""
+NUMBERS_WIDTH: Final = 58
+"""What the other columns take, about."""
+PAGE_WIDTH: Final = 100
+"""Columns where there is no terminal."""
+_REASONS: Final = {"samples": "its samples", "seconds": "its time", "relative_error": "its error"}
+
+
+def print_quote(quote: Quote, console: Console | None = None) -> None:
+    """To standard output, with colours where that is a terminal."""
+    if console is None:
+        console = Console() if sys.stdout.isatty() else Console(width=PAGE_WIDTH)
+    console.print(f"{quote.name}: {_end(quote.end)}", highlight=False, soft_wrap=True)
+    console.print(_made(quote), style="dim", highlight=False, soft_wrap=True)
+    if quote.table:
+        console.print(_table(quote, min(max(console.width - NUMBERS_WIDTH, LEAST_CELLS), MOST_CELLS)))
+    for warning in quote.warnings:
+        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
+
+
+def _end(end: QuotedEnd) -> str:
+    error = ""
+    if end.relative_error is not None:
+        error = f", relative error {percent(end.relative_error)}{_percents(end.relative_error_interval)}"
+    return (
+        f"{duration(end.seconds)}{_durations(end.seconds_interval)} of tracing, {end.samples:.4g} samples a pixel{error}; "
+        f"{_REASONS.get(end.reason, str(end.reason))} will stop it"
+    )
+
+
+def _made(quote: Quote) -> str:
+    pilot = quote.pilot
+    parts = [
+        f"pilot: {pilot.blocks} of {pilot.blocks_in_picture} blocks in {duration(pilot.seconds)}",
+        f"compiling {_stage(quote.compile.seconds, quote.compile.warm)}",
+        f"building {_stage(quote.build.seconds, quote.build.warm)}",
+    ]
+    if quote.theta is not None:
+        parts.append(f"variance falls as samples^-{quote.theta:.2f}")
+    return ", ".join(parts)
+
+
+def _stage(seconds: float, warm: bool | None) -> str:
+    return "none: it is cached" if warm else f"{duration(seconds)} on top"
+
+
+def _durations(interval: Interval) -> str:
+    return _between(duration(interval.low), duration(interval.high))
+
+
+def _percents(interval: Interval | None) -> str:
+    return "" if interval is None else _between(percent(interval.low), percent(interval.high))
+
+
+def _between(low: str, high: str) -> str:
+    return "" if low == high else f" ({low} to {high})"
+
+
+def _table(quote: Quote, cells: int) -> Table:
+    low, high = _span(quote.table)
+    table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
+    for name in ("error", "samples", "seconds", "from", "to"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column(_axis(low, high, cells), width=cells, no_wrap=True)
+    for row in quote.table:
+        table.add_row(
+            percent(row.relative_error),
+            f"{row.samples:,.0f}",
+            duration(row.seconds),
+            duration(row.seconds_interval.low),
+            duration(row.seconds_interval.high),
+            _bar(row, low, high, cells),
+            style="bold" if row.relative_error == quote.stop.relative_error else "",
+        )
+    return table
+
+
+def _span(rows: Sequence[QuotedError]) -> tuple[float, float]:
+    lows = [max(row.seconds_interval.low, 1e-3) for row in rows]
+    highs = [max(row.seconds_interval.high or row.seconds, 1e-3) for row in rows]
+    return min(lows), max(*highs, 1.01 * min(lows))
+
+
+def _cell(seconds: float, low: float, high: float, cells: int) -> int:
+    share = math.log(max(seconds, low) / low) / math.log(high / low)
+    return min(round(share * (cells - 1)), cells - 1)
+
+
+def _bar(row: QuotedError, low: float, high: float, cells: int) -> Text:
+    """The interval as a line, the seconds as a dot on it."""
+    first = _cell(row.seconds_interval.low, low, high, cells)
+    last = _cell(row.seconds_interval.high or row.seconds, low, high, cells)
+    drawn = [" "] * cells
+    drawn[first : last + 1] = "─" * (last + 1 - first)
+    drawn[_cell(row.seconds, low, high, cells)] = "●"
+    return Text("".join(drawn))
+
+
+def _axis(low: float, high: float, cells: int) -> Text:
+    """The ends of the axis; logarithmic."""
+    left, right = duration(low), duration(high)
+    return Text(left + " " * max(cells - len(left) - len(right), 1) + right)

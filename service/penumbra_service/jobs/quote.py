@@ -1,0 +1,186 @@
+"""The quote, from what a pilot found. Pure."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from penumbra_scene.check import picture_hash, scene_hash
+from penumbra_scene.job import Interval, StopReason
+from penumbra_scene.quote import QUOTED_ERRORS, Pilot, Quote, QuotedEnd, QuotedError
+from penumbra_scene.receipt import ReceiptDevice, StageTime
+from penumbra_scene.scene import Scene
+
+from penumbra_service.film.error import normal_quantile
+from penumbra_service.film.predict import THETA_RANGE, error_at, fit_theta, predict, splitting_price
+from penumbra_service.film.stop import MIN_CHECK_SAMPLES, next_check
+from penumbra_service.jobs.pilot import PilotResult
+from penumbra_service.jobs.receipt import error_point
+
+DEAREST_SPLIT: Final = 1.3
+"""Times the samples of one sequence that eight replicates may cost; beyond it four are advised."""
+MOST_SAMPLES: Final = 1e15
+"""Nobody waits for more."""
+MUCH_FLAGGED: Final = 0.5
+"""Share of flagged pixels from which a quote says that it may be far off."""
+
+
+def build_quote(scene: Scene, time: float, found: PilotResult, warnings: tuple[str, ...] = ()) -> Quote:
+    """A quote for a scene as it is to be rendered, `time` seconds into it."""
+    confidence = scene.stop.confidence
+    fit = fit_theta(found.points)
+    half = normal_quantile(confidence) * fit.deviation
+    known = bool(fit.points)
+    return Quote(
+        name=scene.name,
+        scene_hash=scene_hash(scene),
+        picture_hash=picture_hash(scene, time),
+        stop=scene.stop,
+        sampler=scene.sampler.type,
+        replicates=found.layout.replicates,
+        table=_table(scene, found),
+        end=_end(scene, found),
+        theta=fit.theta if known else None,
+        theta_interval=(max(fit.theta - half, THETA_RANGE[0]), min(fit.theta + half, THETA_RANGE[1]))
+        if known
+        else None,
+        seconds_per_sample=found.seconds_per_sample,
+        compile=StageTime(seconds=found.compile_seconds, warm=found.compile_warm),
+        build=StageTime(seconds=found.build_seconds, warm=found.build_warm),
+        pilot=Pilot(
+            pixels=found.pixels,
+            blocks=found.blocks,
+            blocks_in_picture=found.blocks_in_picture,
+            samples=found.points[-1].samples,
+            seconds=found.seconds,
+            curve=tuple(error_point(point, confidence) for point in found.points),
+        ),
+        flagged_share=found.flagged_share,
+        replicates_advised=_advised(found, fit.theta) if known else None,
+        splitting_price=splitting_price(found.layout.replicates, fit.theta) if known else None,
+        devices=tuple(
+            ReceiptDevice(
+                id=use.id,
+                name=use.name,
+                platform=use.platform,
+                driver=use.driver,
+                bit_class=use.bit_class,
+                leases=use.leases,
+                seconds=use.seconds,
+            )
+            for use in found.devices.values()
+        ),
+        warnings=(*_doubts(found), *warnings),
+    )
+
+
+def _advised(found: PilotResult, theta: float) -> int:
+    return 8 if splitting_price(8, theta) <= DEAREST_SPLIT else 4
+
+
+def _table(scene: Scene, found: PilotResult) -> tuple[QuotedError, ...]:
+    targets = set(QUOTED_ERRORS)
+    if scene.stop.relative_error is not None:
+        targets.add(scene.stop.relative_error)
+    rows = (_quoted(found, target, scene.stop.confidence) for target in sorted(targets, reverse=True))
+    return tuple(row for row in rows if row is not None)
+
+
+def _quoted(found: PilotResult, target: float, confidence: float) -> QuotedError | None:
+    told = predict(found.points, target, confidence)
+    if told is None:
+        return None
+    value, low, high = (_whole(found, n) for n in (told.samples, told.samples_low, told.samples_high))
+    samples = _Range(value, low, high, confidence)
+    seconds = samples.seconds(found)
+    return QuotedError(
+        relative_error=target,
+        samples=samples.value,
+        samples_interval=samples.interval,
+        seconds=seconds.value,
+        seconds_interval=seconds.interval,
+    )
+
+
+class _Range:
+    """A number with the ends of its interval."""
+
+    def __init__(self, value: float, low: float, high: float, confidence: float) -> None:
+        self.value = value
+        self.interval = Interval(low=low, high=high, confidence=confidence)
+        self._ends = (low, high)
+        self._confidence = confidence
+
+    def seconds(self, found: PilotResult) -> _Range:
+        """The same in seconds of tracing, its ends wider by what the pilot's rate is uncertain."""
+        spread = normal_quantile(self._confidence) * found.rate_deviation
+        rate = found.seconds_per_sample
+        low, high = self._ends
+        return _Range(
+            self.value * rate, low * rate * max(1 - spread, 0.0), high * rate * (1 + spread), self._confidence
+        )
+
+
+def _whole(found: PilotResult, samples: float) -> float:
+    """Samples at which a render can stop: its check points."""
+    replicates = found.layout.replicates
+    each = min(max(samples, MIN_CHECK_SAMPLES), MOST_SAMPLES) / replicates
+    return float(replicates * next_check(max(math.ceil(each) - 1, 0)))
+
+
+def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
+    """Which of the scene's rules holds first, as far as the pilot can tell."""
+    stop, rate, confidence = scene.stop, found.seconds_per_sample, scene.stop.confidence
+    ends: list[tuple[float, StopReason, _Range]] = []
+    if stop.samples is not None:
+        n = float(found.layout.samples or stop.samples)
+        ends.append((n, StopReason.SAMPLES, _Range(n, n, n, confidence)))
+    if stop.seconds is not None:
+        spread = normal_quantile(confidence) * found.rate_deviation
+        n = stop.seconds / rate
+        ends.append((n, StopReason.SECONDS, _Range(n, n / (1 + spread), n * (1 + spread), confidence)))
+    if stop.relative_error is not None:
+        row = _quoted(found, stop.relative_error, confidence)
+        if row is not None:
+            n, i = row.samples, row.samples_interval
+            ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, i.low, i.high or i.low, confidence)))
+    if not ends:  # an error alone is asked for, and no light was seen: nothing is known
+        n = found.points[-1].samples
+        ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, n, n, confidence)))
+    _, reason, samples = min(ends, key=lambda end: end[0])
+    seconds = samples.seconds(found)
+    error = error_at(found.points, samples.value, confidence)
+    return QuotedEnd(
+        reason=reason,
+        samples=samples.value,
+        samples_interval=samples.interval,
+        seconds=seconds.value,
+        seconds_interval=seconds.interval,
+        relative_error=None if error is None else error[0],
+        relative_error_interval=None
+        if error is None
+        else Interval(low=error[1], high=error[2], confidence=confidence),
+    )
+
+
+def _doubts(found: PilotResult) -> tuple[str, ...]:
+    said = []
+    last = found.points[-1]
+    if found.layout.deterministic:
+        said.append("the sampler is deterministic: samples and seconds can be quoted, errors cannot")
+    elif found.layout.replicates < 2:
+        said.append("one replicate has no spread: samples and seconds can be quoted, errors cannot")
+    elif not last.relmse > 0:
+        said.append("the pilot saw no noise at all: either there is none, or light that it never met")
+    elif found.flagged_share > MUCH_FLAGGED:
+        share = f"{100 * found.flagged_share:.0f} %"
+        said.append(
+            f"{share} of the pilot's pixels are flagged: rare bright samples may make the real cost far higher"
+        )
+    if found.rejected_share > 0:
+        said.append(
+            f"{100 * found.rejected_share:.2g} % of the pilot's samples were NaN, infinite or negative"
+        )
+    if len(found.points) < 3:
+        said.append("the scene is too slow for a pilot of two seconds to tell how fast its error falls")
+    return tuple(said)
