@@ -131,6 +131,10 @@ class Tracer:
         self._plan_strata(plan.strata)
         self._items_per_second = 0.0
 
+    def reseed(self, seed: int) -> None:
+        """Take other random numbers from now on; scene and program stay."""
+        self._params["seed"] = seed
+
     def trace(
         self, tile: Tile, first_sample: int, sample_count: int, allotment: Allotment | None = None
     ) -> SumNode:

@@ -70,7 +70,7 @@ def build_quote(scene: Scene, time: float, found: PilotResult, warnings: tuple[s
             )
             for use in found.devices.values()
         ),
-        warnings=(*_doubts(found), *warnings),
+        warnings=(*_doubts(scene, found), *warnings),
     )
 
 
@@ -163,8 +163,10 @@ def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
     )
 
 
-def _doubts(found: PilotResult) -> tuple[str, ...]:
+def _doubts(scene: Scene, found: PilotResult) -> tuple[str, ...]:
     said = []
+    if scene.adaptive is not None:
+        said.append("the quote is for samples spread evenly; adaptive sampling should need fewer")
     last = found.points[-1]
     if found.layout.deterministic:
         said.append("the sampler is deterministic: samples and seconds can be quoted, errors cannot")

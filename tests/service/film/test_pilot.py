@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from penumbra_kernels.nodes import Tile
-from penumbra_service.film.error import BlockSums, TileSummary
+from penumbra_kernels.nodes import SUM64, Tile
+from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import POOL_BLOCK
 from penumbra_service.film.pilot import (
     affordable,
@@ -20,6 +20,7 @@ from penumbra_service.film.pilot import (
     round_ends,
 )
 from penumbra_service.film.predict import Point, error_at, splitting_price
+from penumbra_service.film.statistics import pixel_flags, pixel_statistics
 
 WINDOWS = st.builds(Tile, st.integers(0, 100), st.integers(0, 100), st.integers(1, 300), st.integers(1, 300))
 
@@ -76,13 +77,13 @@ def test_time_buys_rounds_first_and_blocks_then() -> None:
 
 
 def block(variance: float, value: float) -> TileSummary:
-    one = np.ones((1, 1))
-    pixels = POOL_BLOCK**2
-    sums = BlockSums(
-        pixels * one, pixels * variance * one, pixels * (value**2 + variance) * one,
-        np.full((1, 1, 3), pixels * value),
-    )  # fmt: skip
-    return TileSummary(sums, pixels, 0, {}, pixels, pixels, 0, {}, value)
+    """A block all of whose pixels are alike: two replicates, a standard error above and below the mean."""
+    sums = np.zeros((2, POOL_BLOCK, POOL_BLOCK), SUM64)
+    sums["taken"] = sums["lit"] = 32
+    off = math.sqrt(variance) * np.array([-1.0, 1.0])
+    sums["rgba"] = 32 * (value + off)[:, None, None, None]
+    pixels = pixel_statistics(Tile(0, 0, POOL_BLOCK, POOL_BLOCK), sums)
+    return summarize(pixels, pixel_flags(pixels))
 
 
 def test_a_pilot_estimates_the_error_of_the_whole_picture() -> None:
