@@ -13,7 +13,7 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean
+.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -61,6 +61,11 @@ lights: setup ## measure how lights are chosen, and write docs/lights.md
 
 compose-secrets: setup ## make keys and certificates for docker-compose.yml, in secrets/
 	@./scripts/compose-secrets.sh
+accuracy: setup ## measure what accuracy costs on the examples, and write docs/accuracy.md
+	@$(BIN)/python scripts/accuracy.py $(ARGS)
+
+test-statistics: setup ## 1,000 seeds of scenes with known means for every sampler; writes docs/coverage.md
+	@$(BIN)/python scripts/coverage.py $(ARGS)
 
 clean: ## remove what the targets left, but not the environment or the service's data
 	@rm -rf out dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -254,7 +254,7 @@ class PilotRunner:
                 raise RunFailedError("device", reason)
 
     def _take_result(self, device: DeviceDescription, result: LeaseResult) -> None:
-        if not self._desk.answered(result.lease, device.id, result.seconds):
+        if not self._desk.answered(result, device):
             return
         self._start_clock()
         samples = sum(node.sums.size * node.sample_count for node in result.nodes)
@@ -282,7 +282,7 @@ class PilotRunner:
         result.compile_warm &= loaded.compile_warm
 
     def _take_failure(self, device: DeviceDescription, failure: LeaseFailure) -> None:
-        if failure.kind in ("scene", "device"):
+        if failure.kind in ("scene", "device", "storage"):
             raise RunFailedError(failure.kind, failure.message)
         self._desk.give_back(failure.lease)
         self._desk.exclude(device.id)

@@ -1,0 +1,287 @@
+"""`make accuracy`: measures what accuracy costs on the example scenes, and writes docs/accuracy.md and its plots.
+
+Everything on the page is of the run that wrote it. `--only` repeats a part and keeps the rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from accuracy_forecasts import HOLDS, forecast, holds, summary
+from accuracy_splitting import BLOCKS, COUNTS, measure, upkeep
+from penumbra_kernels.device import Device, devices
+from penumbra_scene.parse import parse_scene
+from penumbra_scene.scene import Scene
+from penumbra_service.accuracy.compare import Setting, as_json
+from penumbra_service.accuracy.comparing import Wanted, compare_on, resized
+from penumbra_service.accuracy.plots import plot_all
+from penumbra_service.images.assets import FolderAssets
+from penumbra_service.rendering import assets_folder, local_engine
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+EXAMPLES: Final = ROOT / "examples"
+PICTURES: Final = ROOT / "docs" / "pictures"
+PAGE: Final = ROOT / "docs" / "accuracy.md"
+NUMBERS: Final = PICTURES / "accuracy.json"
+SCENES: Final = ("depth_of_field", "soft_shadows", "glossy", "motion_blur", "cornell")
+PROMISED: Final = SCENES[:4]
+"""Of which the default sampler with adaptive sampling is to need a third of independent sampling's seconds."""
+SETTINGS: Final = tuple(
+    Setting(name, adaptive)
+    for name, adaptive in (
+        ("regular", False), ("random", False), ("independent", False), ("independent", True),
+        ("stratified", False), ("jittered", False), ("sobol", False), ("sobol", True),
+    )
+)  # fmt: skip
+SAMPLES: Final = (16, 64, 256)
+COMPARED: Final = (96, 72)
+SPLIT: Final = (64, 48)
+FORETOLD: Final = (96, 72)
+UPKEEP: Final = (160, 120)
+PARTS: Final = ("compare", "splitting", "forecasts")
+
+
+def main() -> int:
+    """Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=PARTS, action="append", help="measure this part alone")
+    parts = parser.parse_args().only or PARTS
+    numbers: dict[str, Any] = json.loads(NUMBERS.read_text()) if NUMBERS.exists() else {}
+    began = time.monotonic()
+    with local_engine("") as engine:
+        numbers["machine"] = {
+            "processor": _processor(),
+            "devices": [d.name for d in engine.usable()],
+            "day": time.strftime("%Y-%m-%d"),
+        }
+        if "compare" in parts:
+            numbers["compare"] = {name: _compare(engine, name) for name in SCENES}
+        if "forecasts" in parts:
+            numbers["forecasts"] = [asdict(f) for f in _forecasts(engine)]
+    if "splitting" in parts:
+        numbers |= _splitting()
+    NUMBERS.write_text(json.dumps(numbers, indent=1) + "\n")
+    PAGE.write_text("\n".join(page(numbers)) + "\n")
+    print(f"{PAGE.relative_to(ROOT)} in {time.monotonic() - began:.0f} s", file=sys.stderr)
+    return 0
+
+
+def _processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _scene(name: str, size: tuple[int, int]) -> Scene:
+    return resized(parse_scene((EXAMPLES / f"{name}.json").read_bytes(), allow_files=True), size)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _compare(engine: Any, name: str) -> dict[str, Any]:
+    wanted = Wanted((), samples=SAMPLES, settings=SETTINGS)
+    with tempfile.TemporaryDirectory() as folder:
+        found = compare_on(engine, _scene(name, COMPARED), EXAMPLES, wanted, Path(folder), _say)
+        paths = {
+            "curves": PICTURES / f"accuracy_{name}.png",
+            "pictures": PICTURES / f"accuracy_{name}_pictures.png",
+        }
+        plot_all(found, paths)
+    return as_json(found)
+
+
+def _forecasts(engine: Any) -> Iterator[Any]:
+    for path in sorted(EXAMPLES.glob("*.json")):
+        _say(f"forecast: {path.stem}")
+        found = forecast(engine, _scene(path.stem, FORETOLD), EXAMPLES)
+        if found is not None:
+            yield found
+
+
+def _splitting() -> dict[str, Any]:
+    device = Device(devices()[0].id)
+    assets = FolderAssets(assets_folder(), EXAMPLES)
+    found = {}
+    for name in SCENES:
+        _say(f"splitting: {name}")
+        found[name] = asdict(measure(device, _scene(name, SPLIT), assets))
+    kept = asdict(upkeep(device, _scene("cornell", UPKEEP), assets))
+    return {"splitting": found, "upkeep": kept}
+
+
+# ---- the page
+def page(numbers: dict[str, Any]) -> Iterator[str]:
+    """Lines of Markdown."""
+    machine = numbers["machine"]
+    yield "# What accuracy costs in time"
+    yield ""
+    yield (
+        f"Measured by `make accuracy` on {machine['day']}: {machine['processor']}, "
+        f"{' and '.join(machine['devices'])}. Every number and picture here is of that run. Whether error bars hold is "
+        "on a page of its own: [coverage](coverage.md)."
+    )
+    yield from _samplers(numbers["compare"])
+    yield from _split_page(numbers["splitting"], numbers["upkeep"])
+    yield from _forecast_page(numbers["forecasts"])
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    yield ""
+    yield "| " + " | ".join(head) + " |"
+    yield "|" + "---|" * len(head)
+    for row in rows:
+        yield "| " + " | ".join(row) + " |"
+    yield ""
+
+
+def _curve(found: dict[str, Any], sampler: str, adaptive: bool) -> dict[str, Any]:
+    return next(c for c in found["curves"] if (c["sampler"], c["adaptive"]) == (sampler, adaptive))
+
+
+def _share(value: float | None) -> str:
+    return "never" if value is None else f"{value:.2f}"
+
+
+def _samplers(compared: dict[str, Any]) -> Iterator[str]:
+    width, height = COMPARED
+    yield ""
+    yield "## Samplers, and samples where they are needed"
+    yield ""
+    yield (
+        f"`penumbra compare` on pictures of {width} x {height}. relMSE is against a reference of "
+        f"{16 * max(SAMPLES)} samples; the last column is the share of the seconds that `independent` needs for the error "
+        f"of its {max(SAMPLES)} samples. `regular` has no error bar, and its error here is aliasing."
+    )
+    yield ""
+    yield "The default sampler with adaptive sampling, `sobol adaptive`, against `independent`; the aim is a third:"
+    rows = []
+    for name in PROMISED:
+        found = compared[name]
+        plain, ours = (_curve(found, "sobol", a)["seconds_over_baseline"] for a in (False, True))
+        met = "yes" if ours is not None and ours <= 1 / 3 else "**no**"
+        rows.append([f"`{name}`", _share(plain), _share(ours), met])
+    yield from _table(["scene", "`sobol`", "`sobol adaptive`", "at most 0.33"], rows)
+    for name, found in compared.items():
+        yield from _scene_section(name, found)
+
+
+def _scene_section(name: str, found: dict[str, Any]) -> Iterator[str]:
+    yield f"### {found['scene']}"
+    rows = []
+    for c in found["curves"]:
+        title = f"`{c['sampler']}`" + (" adaptive" if c["adaptive"] else "")
+        if not c["points"]:
+            rows.append([title, c["left_out"], "", "", ""])
+            continue
+        last = c["points"][-1]
+        slope = "" if c["slope"] is None else f"{c['slope']:.2f}"
+        rows.append(
+            [
+                title,
+                f"{last['relmse_ref']:.2e}",
+                f"{last['seconds']:.2f}",
+                slope,
+                _share(c["seconds_over_baseline"]),
+            ]
+        )
+    head = ["sampler", f"relMSE at {max(SAMPLES)} samples", "seconds", "slope", "of the seconds"]
+    yield from _table(head, rows)
+    yield f"![relMSE against seconds](pictures/accuracy_{name}.png)"
+    yield ""
+    yield f"In {found['equal_seconds']:.2g} s of tracing each:"
+    yield ""
+    yield f"![pictures at equal time](pictures/accuracy_{name}_pictures.png)"
+    yield ""
+
+
+def _split_page(splitting: dict[str, Any], kept: dict[str, Any]) -> Iterator[str]:
+    yield "## What error bars cost"
+    yield ""
+    yield (
+        "Splitting samples into R replicates makes their sequences shorter. Samples to the error of 128 samples in R "
+        "replicates, over those of one sequence (`sobol`; theta is that of one sequence between 16 and 128 samples):"
+    )
+    rows = [
+        [f"`{name}`", f"{s['theta']:.2f}", *(f"{_of(s['price'], r):.2f}" for r in COUNTS)]
+        for name, s in splitting.items()
+    ]
+    yield from _table(["scene", "theta", *(f"R = {r}" for r in COUNTS)], rows)
+    worst = max(_of(s["price"], 8) for s in splitting.values())
+    yield (
+        f"Eight replicates cost {worst:.2f} at most here, and give an interval 7 degrees of freedom where four give 3: "
+        "2.36 standard errors in place of 3.18. So jobs take 8, and a quote advises 4 where the pilot's theta says that 8 "
+        "would cost more than 1.3 ([decision 19](decisions/0019-eight-replicates.md))."
+    )
+    yield ""
+    yield (
+        "V of one pixel is uncertain by 53 % at R = 8. Pooled over blocks it is uncertain by less, and the quotient that is "
+        "relmse less biased. First number: relative deviation of V pooled over a block, the median block; second: relmse of "
+        "128 samples over what four times the samples say."
+    )
+    rows = [
+        [f"`{name}`", *(f"{_of(s['deviation'], b):.2f}, {_of(s['bias'], b):.3f}" for b in BLOCKS)]
+        for name, s in splitting.items()
+    ]
+    yield from _table(["scene", *(f"{b} x {b}" for b in BLOCKS)], rows)
+    yield (
+        "Blocks of 16 x 16 are as good as larger ones in bias, and small enough that light and dark do not mix: the error is "
+        "pooled over them."
+    )
+    yield ""
+    looking, tracing = 100 * kept["looking"], 100 * (kept["replicates"] - 1)
+    yield (
+        f"Keeping error bars costs, in CPU time on `cornell` at {UPKEEP[0]} x {UPKEEP[1]}: tracing 256 samples in 8 "
+        f"replicates in place of 1, {tracing:+.1f} %; looking at the picture at all 16 check points up to there, "
+        f"{looking:.1f} % "
+        "(a job without an error target looks at fewer)."
+    )
+    yield ""
+
+
+def _of(table: dict[Any, float], key: int) -> float:
+    """JSON makes strings of keys."""
+    return table[key] if key in table else table[str(key)]
+
+
+def _forecast_page(found: list[dict[str, Any]]) -> Iterator[str]:
+    from accuracy_forecasts import Forecast
+
+    told = [Forecast(**{**f, "samples": tuple(f["samples"]), "seconds": tuple(f["seconds"])}) for f in found]
+    shares = summary(told)
+    width, height = FORETOLD
+    yield "## Do quotes hold?"
+    yield ""
+    yield (
+        f"Every example with a random sampler at {width} x {height}, quoted for an error that takes about two seconds, then "
+        f"rendered to it. Within x{HOLDS:g}: {100 * shares['samples']:.0f} % in samples, {100 * shares['seconds']:.0f} % in "
+        f"seconds; the aim is 80 %. {100 * shares['within']:.0f} % lie in the quoted 95 % interval of seconds."
+    )
+    rows = [
+        [
+            f.scene, f"{100 * f.target:.2g} %", f"{f.samples[0]:.0f}", f"{f.samples[1]:.0f}", _ratio(f.samples_ratio),
+            f"{f.seconds[0]:.2f}", f"{f.seconds[1]:.2f}", _ratio(f.seconds_ratio),
+        ]
+        for f in sorted(told, key=lambda f: abs(f.seconds_ratio - 1), reverse=True)
+    ]  # fmt: skip
+    head = ["scene", "error", "samples quoted", "real", "ratio", "seconds quoted", "real", "ratio"]
+    yield from _table(head, rows)
+
+
+def _ratio(ratio: float) -> str:
+    return f"{ratio:.2f}" if holds(ratio) else f"**{ratio:.2f}**"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,153 @@
+"""What error bars cost: splitting samples into replicates, pooling their variance, and keeping both.
+
+One render of each scene with REPLICATES independent replicates gives v(n), the variance of a replicate's mean after n
+samples. R replicates of n/R samples have v(n/R) / R where one sequence has v(n).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from penumbra_kernels.compile.scene import compile_scene
+from penumbra_kernels.device import Device
+from penumbra_kernels.nodes import SumNode, Tile, merge
+from penumbra_kernels.tracer import SamplePlan, Tracer
+from penumbra_scene.scene import Scene
+from penumbra_service.film import error as film_error
+from penumbra_service.film.error import image_error, summarize
+from penumbra_service.film.grid import POOL_BLOCK
+from penumbra_service.film.statistics import pixel_flags, pixel_statistics
+from penumbra_service.images.assets import FolderAssets
+
+REPLICATES: Final = 32
+MOST: Final = 128
+"""Samples a replicate."""
+COUNTS: Final = (2, 4, 8, 16)
+"""Replicates that are compared."""
+BLOCKS: Final = (4, 8, 16, 32)
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """Of one scene."""
+
+    theta: float
+    """Of v(n) between 16 and 128 samples."""
+    price: dict[int, float]
+    """By replicates: samples to the error of 128 samples in so many replicates, over those of one sequence."""
+    deviation: dict[int, float]
+    """By side of a block: relative standard deviation of V pooled over it, R = 8, the median block."""
+    bias: dict[int, float]
+    """By side of a block: relmse of renders of 8 replicates over that with four times their samples known."""
+
+
+def measure(device: Device, scene: Scene, assets: FolderAssets) -> Splitting:
+    """Traces the whole picture. Raises DeviceError, AssetError."""
+    tracer = Tracer(device, compile_scene(scene, assets), SamplePlan(REPLICATES))
+    tile = Tile(0, 0, scene.film.width, scene.film.height)
+    node = tracer.trace(tile, 0, 1)
+    nodes = {1: node}
+    while node.end < MOST:
+        node = merge(node, tracer.trace(tile, node.end, node.sample_count))
+        nodes[node.end] = node
+    means = {n: _means(one) for n, one in nodes.items()}
+    weights = 1 / (means[MOST].mean(axis=0) ** 2 + film_error.EPSILON)
+    v = {n: float(np.mean(m.var(axis=0, ddof=1) * weights)) for n, m in means.items()}
+    return Splitting(
+        theta=_theta(v),
+        price={r: _price(v, r) for r in COUNTS},
+        deviation={side: _deviation(nodes[16], tile, side) for side in BLOCKS},
+        bias={side: _bias(nodes[16], tile, side) for side in BLOCKS},
+    )
+
+
+def _means(node: SumNode) -> NDArray[np.float64]:
+    """(replicates, height, width, 3)."""
+    taken = np.maximum(node.sums["taken"], 1).astype(np.float64)[..., None]
+    means: NDArray[np.float64] = node.sums["rgba"][..., :3].astype(np.float64) / taken
+    return means
+
+
+def _theta(v: dict[int, float]) -> float:
+    n = [n for n in v if n >= 16]
+    return -float(np.polyfit(np.log(n), np.log([v[i] for i in n]), 1)[0])
+
+
+def _price(v: dict[int, float], replicates: int) -> float:
+    """MOST samples in so many replicates over the samples of one sequence of the same error, between its points
+    straight on both logarithms."""
+    reached = math.log(v[MOST // replicates] / replicates)
+    n = sorted(v)
+    falling = [math.log(v[i]) for i in n]
+    one = np.interp(-reached, [-f for f in falling], [math.log(i) for i in n])
+    return float(MOST / math.exp(one))
+
+
+def _groups(node: SumNode) -> list[NDArray[Any]]:
+    """Renders of eight replicates each."""
+    return [node.sums[first : first + 8] for first in range(0, REPLICATES, 8)]
+
+
+def _deviation(node: SumNode, tile: Tile, side: int) -> float:
+    """Of V pooled over blocks of a side, from its spread over the groups; blocks without noise are left out."""
+    pooled = np.stack([_pooled(pixel_statistics(tile, sums).variance, side) for sums in _groups(node)])
+    mean = pooled.mean(axis=0)
+    noisy = mean > 0
+    return float(np.sqrt(np.median(pooled.var(axis=0, ddof=1)[noisy] / mean[noisy] ** 2)))
+
+
+def _pooled(variance: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    plain = variance[..., :3].mean(axis=-1)
+    rows = np.add.reduceat(plain, range(0, plain.shape[0], side), axis=0)
+    blocks: NDArray[np.float64] = np.add.reduceat(rows, range(0, plain.shape[1], side), axis=1)
+    return blocks
+
+
+def _bias(node: SumNode, tile: Tile, side: int) -> float:
+    """Mean relmse of the groups, times a quarter, over that of all replicates together."""
+    alone = float(np.mean([_relmse(sums, tile, side) for sums in _groups(node)]))
+    return alone * 8 / REPLICATES / _relmse(node.sums, tile, side)
+
+
+def _relmse(sums: NDArray[Any], tile: Tile, side: int) -> float:
+    pixels = pixel_statistics(tile, sums)
+    film_error.POOL_BLOCK = side  # type: ignore[misc]
+    try:
+        return image_error([summarize(pixels, pixel_flags(pixels))]).relmse
+    finally:
+        film_error.POOL_BLOCK = POOL_BLOCK  # type: ignore[misc]
+
+
+@dataclass(frozen=True)
+class Upkeep:
+    """What error bars cost beside the same samples without them, in CPU time."""
+
+    replicates: float
+    """Tracing 256 samples in 8 replicates over tracing them in 1."""
+    looking: float
+    """Looking at the picture at every check point up to 256 samples, over tracing them."""
+
+
+def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 5) -> Upkeep:
+    """Interleaved, the least of each."""
+    tile = Tile(0, 0, scene.film.width, scene.film.height)
+    compiled = compile_scene(scene, assets)
+    tracers = {r: Tracer(device, compiled, SamplePlan(r)) for r in (1, 8)}
+    spent: dict[int, list[float]] = {1: [], 8: []}
+    looking = []
+    for _ in range(rounds):
+        for r, tracer in tracers.items():
+            began = time.process_time()
+            node = tracer.trace(tile, 0, 256 // r)
+            spent[r].append(time.process_time() - began)
+        began = time.process_time()
+        pixels = pixel_statistics(tile, node.sums)
+        image_error([summarize(pixels, pixel_flags(pixels))])
+        looking.append(time.process_time() - began)
+    checks = 16  # of film.stop: 8, 16, 24, then four an octave up to 256 samples
+    return Upkeep(min(spent[8]) / min(spent[1]), checks * min(looking) / min(spent[8]))
