@@ -136,6 +136,11 @@ def attributes(receipt: Receipt) -> dict[str, str | int | float]:
     if receipt.error.relmse is not None and receipt.error.relative_error is not None:
         ours["relmse"] = receipt.error.relmse
         ours["relativeError"] = receipt.error.relative_error
+    if receipt.error.theta is not None:
+        ours["theta"] = receipt.error.theta
+    if receipt.forecast.predicted_samples is not None and receipt.forecast.predicted_seconds is not None:
+        ours["predictedSamples"] = receipt.forecast.predicted_samples
+        ours["predictedSeconds"] = receipt.forecast.predicted_seconds
     named: dict[str, str | int | float] = {ATTRIBUTE + name: value for name, value in ours.items()}
     return {
         "Software": f"Penumbra {receipt.versions.get('penumbra-render', '')}".strip(),

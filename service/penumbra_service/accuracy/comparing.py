@@ -68,7 +68,7 @@ def compare_on(
     with tempfile.TemporaryDirectory(prefix="penumbra-") as work:
         comparer = Comparer(engine, Path(work), assets_folder(), beside, wanted.time)
         found = comparer.compare(
-            scene, settings_of(wanted.samplers, wanted.adaptive), reference, samples, say
+            scene, wanted.settings or settings_of(wanted.samplers, wanted.adaptive), reference, samples, say
         )
         say(f"{scene.name}: pictures at equal time")
         comparer.at_equal_time(scene, found, pictures)

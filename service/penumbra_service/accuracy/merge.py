@@ -22,6 +22,10 @@ NEEDED: Final = ("seed", "sampler", "replicates", "samples", "pictureHash", "sec
 FIXED_POSITIONS: Final = "stratified"
 """The sampler whose positions in the pixel are fixed, so that it converges to another picture than the rest."""
 
+_OF_ONE_RUN: Final = (
+    "relmse", "relativeError", "flaggedShare", "theta", "predictedSamples", "predictedSeconds",
+)  # fmt: skip
+
 
 class MergeError(ValueError):
     """These files cannot be merged; the message says why, and what to do."""
@@ -174,7 +178,7 @@ def attributes(renders: Sequence[Mapping[str, Any]]) -> dict[str, Value]:
         f"variance of the mean over {told['mergedRenders']} independent renders weighted by their samples, "
         "sum w_i^2 V_i, each V_i = sum (m_r - m)^2 / (R (R - 1))"
     )
-    for stale in ("relmse", "relativeError", "flaggedShare"):
+    for stale in _OF_ONE_RUN:
         told.pop(stale, None)
     return told
 

@@ -154,6 +154,18 @@ def test_the_command_prints_what_came_of_it(
         run(str(made(1)), str(tmp_path / "none" / "x.exr"), "-o", str(out))
 
 
+def test_a_render_to_an_error_says_what_was_predicted_and_a_merged_one_does_not(
+    made: Made, tmp_path: Path
+) -> None:
+    target = {"stop": {"relative_error": 0.01}}
+    _, told = read(made(4, **target))
+    assert 1.0 <= told["penumbra:theta"] <= 1.5
+    assert told["penumbra:predictedSamples"] == pytest.approx(told["penumbra:samples"], rel=1.0)
+    assert told["penumbra:predictedSeconds"] > 0
+    merge_files([made(4, **target), made(5, **target)], tmp_path / "both.exr")
+    assert not {"penumbra:theta", "penumbra:predictedSeconds"} & read(tmp_path / "both.exr")[1].keys()
+
+
 def test_unknown_attributes_of_the_parts_are_kept() -> None:
     part = {"seed": "1", "sampler": "sobol", "replicates": 8, "samples": 8.0, "seconds": 1.0, "biased": "no"}
     told = attributes([{**part, "note": "a"}, {**part, "seed": "2", "note": "b", "biased": "adaptive"}])
