@@ -20,7 +20,7 @@ from penumbra_scene.textures import Texture
 Prototype = Annotated[tuple[PrototypeShape, ...], Field(min_length=1, max_length=limits.MAX_SHAPES)]
 
 
-class Scene(Model):
+class Scene(Model, defer_build=False):  # every process needs it, and jobs reuse what is built here
     """Metres, seconds, degrees; right-handed, Y up; linear Rec.709."""
 
     version: Annotated[Literal[1], NotBoolean]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, Final
 
 from fastapi import FastAPI
+from penumbra_scene.job import JobRequest
 from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api import assets, events, frames, jobs, openapi, problems, quotes, results, system
@@ -70,6 +72,8 @@ def create_app(settings: Settings, runner: Runner | None = None) -> FastAPI:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     service: RenderService = app.state.service
     await run_in_threadpool(service.start)
+    # The first document that comes would have to wait for its validator to be built.
+    threading.Thread(target=JobRequest.model_rebuild, name="penumbra-models", daemon=True).start()
     try:
         yield
     finally:

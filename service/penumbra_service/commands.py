@@ -90,7 +90,7 @@ def _configure_serve(parser: argparse.ArgumentParser) -> None:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    from penumbra_service.serving import serve
+    from penumbra_service.engine.launch import ids_of, start_first
     from penumbra_service.settings import SettingsError
 
     settings = _settings(
@@ -102,8 +102,13 @@ def _serve(arguments: argparse.Namespace) -> int:
         tls=arguments.tls,
         log_level=arguments.log_level,
     )
+    first = None
     try:
-        return serve(settings)
+        # The device comes up while the HTTP side is imported.
+        first = None if settings.scheduler else start_first(ids_of(settings.devices))
+        from penumbra_service.serving import serve
+
+        return serve(settings, first)
     except SettingsError as error:
         raise CommandError(str(error)) from error
     except OSError as error:
@@ -111,6 +116,9 @@ def _serve(arguments: argparse.Namespace) -> int:
         raise CommandError(
             f"cannot serve on {settings.host} port {settings.port} with data in {settings.data}: {why}"
         ) from error
+    finally:
+        if first is not None:
+            first.end()
 
 
 SERVE: Final = Command("keep a render service up", _SERVE, _configure_serve, _serve)

@@ -110,7 +110,7 @@ def run_frames(
         )
 
     def finished(frame: int) -> None:
-        if sheet.add(frame, folder_of(frame) / THUMBNAIL):
+        if sheet.add(frame, folder_of(frame) / THUMBNAIL) and whole.show is not None:
             whole.show()
 
     sequence = FrameSequence(request.sequence, book, whole.control, render, whole.report, at_once, finished)

@@ -47,7 +47,8 @@ class Picture:
     """A snapshot in it is continued; results are left in it under the names of `results`."""
     control: Control
     report: Callable[[JobState, Mapping[str, Any]], None]
-    show: Callable[[], None]
+    show: Callable[[], None] | None
+    """Called when there are a new thumbnail and noise map in the folder; None where nobody looks before the end."""
     time: float = 0.0
     """Seconds: when the scene is looked at."""
     frame: int | None = None
@@ -167,6 +168,8 @@ def _shower(picture: Picture, latest: Latest) -> Callable[[PreviewImage], None]:
 
     def show(image: PreviewImage) -> None:
         latest.image = image
+        if picture.show is None:
+            return
         try:
             write_pictures(picture.folder, picture.scene, image)
         except OSError:

@@ -154,7 +154,7 @@ def _picture(request: JobRequest, work: Path, report: Callable[[ProgressEvent], 
         work,
         Control(),
         report=tell,
-        show=lambda: None,
+        show=None,
         time=request.time,
         strict=request.strict,
     )

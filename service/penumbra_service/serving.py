@@ -18,6 +18,8 @@ from penumbra_scene.exits import Exit
 
 from penumbra_service import logs
 from penumbra_service.app import create_app
+from penumbra_service.engine.launch import Child
+from penumbra_service.local_runner import LocalRunner, engine_of
 from penumbra_service.settings import Settings, SettingsError
 
 log = logging.getLogger(__name__)
@@ -27,8 +29,8 @@ _GRACE_SECONDS: Final = 5
 LOCK: Final = "service.lock"
 
 
-def serve(settings: Settings) -> int:
-    """Run until a signal comes; returns the exit status.
+def serve(settings: Settings, first: Child | None = None) -> int:
+    """Run until a signal comes; returns the exit status. `first`: this machine's first device process, if it was started ahead.
 
     Raises SettingsError where the settings do not go together, OSError where the address cannot be had.
     """
@@ -37,7 +39,7 @@ def serve(settings: Settings) -> int:
     alone = contextlib.nullcontext() if settings.shared else sole_user(settings.data)
     with listen(settings.host, settings.port) as listening, alone:
         config = uvicorn.Config(
-            create_app(settings),
+            create_app(settings, LocalRunner(settings, engine_of(settings, first))),
             log_config=None,
             access_log=settings.log_level == "debug",
             timeout_graceful_shutdown=_GRACE_SECONDS,

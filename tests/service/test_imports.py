@@ -53,6 +53,10 @@ SIMPLE = (
         ),
         (SIMPLE, {"scipy", "numba", "pyopencl"}),
         (
+            "import penumbra_service.serving",
+            {"scipy", "numba", "pyopencl", "trimesh", "alembic", "dask"},
+        ),
+        (
             "import penumbra_service.rendering",
             {"scipy", "numba", "pyopencl", "trimesh", "fastapi", "sqlalchemy"},
         ),
@@ -62,6 +66,7 @@ SIMPLE = (
         "the first device's start",
         "a device process",
         "a simple scene",
+        "the HTTP process",
         "a render without a service",
     ],
 )

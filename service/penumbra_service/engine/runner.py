@@ -466,9 +466,10 @@ class JobRunner:
         return Now(samples, self._clock.seconds, 1 / rate if rate else None)
 
     def _tell(self, force: bool = False, share: float = 0.0) -> None:
-        """Progress and preview, if it is time."""
+        """Progress and preview, if it is time: for the first preview it always is."""
         now = time.monotonic()
-        if not force and now < self._last_progress + PROGRESS_SECONDS:
+        first = self._canvas.preview.changed and self._last_preview == -math.inf
+        if not (force or first) and now < self._last_progress + PROGRESS_SECONDS:
             return
         self._last_progress = now
         standing = self._now(done=share == 1.0)

@@ -66,6 +66,21 @@ def test_bits_do_not_depend_on_devices_or_tiles(fake_engine, make_task, referenc
     assert picture(JobRunner(engine, make_task()).run()) == reference
 
 
+def test_the_first_tiles_are_shown_at_once(fake_engine, make_task, monkeypatch):  # type: ignore[no-untyped-def]
+    """Before the first look at the whole picture, however seldom progress is told."""
+    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.runner.PROGRESS_SECONDS", 1e9)
+    monkeypatch.setattr("penumbra_service.jobs.planning.MAX_LEASE_ITEMS", 4)
+    told: list[str] = []
+    JobRunner(
+        fake_engine(),
+        make_task(name="slow plain", stop={"samples": 16}),
+        on_progress=lambda _, progress: told.append("progress" if progress.relmse is None else "error"),
+        on_preview=lambda image: told.append("preview"),
+    ).run()
+    assert told.index("preview") < told.index("error")
+
+
 def test_a_killed_process_costs_time_and_nothing_else(fake_engine, make_task, reference, monkeypatch):  # type: ignore[no-untyped-def]
     monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
     engine = fake_engine()

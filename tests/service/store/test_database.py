@@ -7,10 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from penumbra_service.store.database import MIGRATIONS, Database
+from penumbra_service.store.database import MIGRATIONS, Database, newest_revision
 from penumbra_service.store.ids import LENGTH, IdMaker, encode, is_id
 from penumbra_service.store.jobs import NewJob, SqlJobStore
 from penumbra_service.store.keys import PREFIX, KeyNameError, KeyStore
@@ -88,6 +90,28 @@ def test_migrating_twice_changes_nothing(database_url: str) -> None:
         database.close()
     with database.read() as connection:
         assert connection.execute(select(func.count()).select_from(jobs)).scalar_one() == 2
+    database.close()
+
+
+def test_the_newest_migration_is_alembics_head(database: Database) -> None:
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    assert newest_revision() == ScriptDirectory.from_config(config).get_current_head()
+    assert database.revision() == newest_revision()
+
+
+def test_a_database_of_an_older_version_is_migrated(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'old.sqlite3'}")
+    assert database.revision() is None
+    database.migrate()
+    with database.write() as connection:
+        config = Config()
+        config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
+    assert database.revision() == "0001"
+    database.migrate()
+    assert database.revision() == newest_revision()
     database.close()
 
 
