@@ -27,9 +27,15 @@ demo: setup ## start the service, render an example scene as a client would, sto
 test: setup ## run the whole test suite
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(ARGS)
 
-.PHONY: test-hard
-test-hard: setup ## the hard cases with all their samples: some minutes
+.PHONY: test-hard test-oclgrind numerics
+test-hard: setup ## the hard cases and examples with all their samples: some minutes
 	@PENUMBRA_HARD_CASES=full $(BIN)/python -m pytest tests/hardcases --timeout 1800 $(ARGS)
+
+test-oclgrind: setup ## every example under a memory checker (Debian's oclgrind): some minutes
+	@PENUMBRA_OCLGRIND=all PENUMBRA_REQUIRE_TOOLS=1 $(BIN)/python -m pytest tests/hardcases/test_oclgrind.py $(ARGS)
+
+numerics: setup ## measure the hard cases and write them into docs/numerics.md
+	@$(BIN)/python scripts/numerics.py $(ARGS)
 
 serve: setup ## keep the service up on 127.0.0.1:8484, its data in data/ (DATA=folder)
 	@exec $(BIN)/penumbra serve --data $(DATA) $(ARGS)

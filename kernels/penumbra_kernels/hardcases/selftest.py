@@ -36,6 +36,8 @@ def as_dict(outcome: Outcome) -> dict[str, Any]:
         "number": outcome.case.number,
         "name": outcome.case.name,
         "sentence": outcome.case.sentence,
+        "oracle": outcome.case.oracle,
+        "algorithm": outcome.case.algorithm,
         "device": outcome.device,
         "status": outcome.status,
         "seconds": round(outcome.seconds, 3),
