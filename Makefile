@@ -79,3 +79,7 @@ clean: ## remove what the targets left, but not the environment or the service's
 
 distclean: clean ## remove the environment too
 	@rm -rf $(VENV)
+
+.PHONY: pairs
+pairs: setup ## every two effects in a scene of their own: specialised against generic, bit for bit
+	@PENUMBRA_ALL_PAIRS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 tests/kernels/trace/test_pairs.py $(ARGS)

@@ -1,23 +1,44 @@
 """Which effects a scene calls for: scene -> set of effects -> the 0/1 prologue of a program.
 
 Pure: looks at the scene alone. Flags are coarse and few; counts, sizes, seeds and sample numbers never reach a program's
-text. An effect is in only where something that the camera or a light can reach uses it, and it says why.
+text. An effect is in only where something that the camera or a light can reach uses it (reach.py), and it says why.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
-from penumbra_scene.camera import Camera
-from penumbra_scene.materials import Material, TextureRef
+from penumbra_scene.errors import pointer
+from penumbra_scene.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    DiffuseTransmission,
+    Mirror,
+    Phong,
+    Plastic,
+    ThinDielectric,
+)
 from penumbra_scene.scene import Scene
-from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Shape, Sphere
+from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Sphere
 from penumbra_scene.transforms import Transform
 
+from penumbra_kernels.compile.materials import has_delta_lobe, widths
+from penumbra_kernels.compile.placement import Shutter, deforms
 from penumbra_kernels.compile.transforms import is_similarity, matrix_at, moves
 from penumbra_kernels.layout import CONSTANTS
+from penumbra_kernels.reach import (
+    Path,
+    emits,
+    is_black,
+    lit_environment,
+    placed_shapes,
+    shines,
+    texture_uses,
+    used_materials,
+)
 
 EFFECTS: Final = (
     "lens",
@@ -40,10 +61,8 @@ EFFECTS: Final = (
 )
 """Every effect that a program can do without, by the name of its PENUMBRA_* flag in lower case."""
 
-GLOSSY: Final = frozenset({"phong", "mirror", "conductor", "plastic", "dielectric", "thin_dielectric"})
 TREE_LIGHTS: Final = 4
 """From how many lights on the tree is the better choice where the scene names none (docs/lights.md)."""
-TRANSMITTING: Final = frozenset({"dielectric", "thin_dielectric", "diffuse_transmission"})
 
 
 @dataclass(frozen=True)
@@ -53,6 +72,8 @@ class Feature:
     name: str
     present: bool
     reason: str
+    pointer: str | None = None
+    """JSON pointer to the place in the scene that calls for it."""
 
 
 @dataclass(frozen=True)
@@ -88,128 +109,127 @@ class Features:
         return flags
 
 
+@dataclass(frozen=True)
+class Use:
+    """Something in a scene that calls for an effect."""
+
+    path: Path
+    words: str
+    """What is there: goes on where the path ends."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A scene at a time, seconds."""
+
+    scene: Scene
+    time: float
+
+    @property
+    def shutter(self) -> Shutter:
+        return Shutter(self.time, self.scene.camera.shutter.open, self.scene.camera.shutter.close)
+
+    def moves(self, transform: Transform) -> bool:
+        """Whether something moves while the shutter is open."""
+        return moves(transform, self.time, self.shutter.open, self.shutter.close)
+
+
 def analyse(scene: Scene, time: float = 0.0) -> Features:
     """Decide on every effect for the frame at `time` seconds."""
-    reasons = {name: next(_reasons(name, scene, time), "") for name in EFFECTS}
-    verdicts = tuple(
-        Feature(name, bool(reason), reason or "nothing uses it") for name, reason in reasons.items()
-    )
+    frame = Frame(scene, time)
+    verdicts = tuple(_verdict(scene, name, next(iter(_FINDERS[name](frame)), None)) for name in EFFECTS)
     return Features(
         verdicts, scene.sampler.type, scene.integrator.light_sampling == "area", scene.adaptive is not None
     )
 
 
-def _reasons(effect: str, scene: Scene, time: float) -> Iterator[str]:
-    return iter(_FINDERS[effect](scene, time))
+def _verdict(scene: Scene, effect: str, use: Use | None) -> Feature:
+    if use is None:
+        return Feature(effect, False, "nothing uses it")
+    place = "/".join(str(key) for key in use.path)
+    named = _name_at(scene, use.path)
+    where = f"{place} ({named})" if named else place
+    return Feature(effect, True, f"{where} {use.words}", pointer(use.path))
 
 
-def _moves(transform: Transform, camera: Camera, time: float) -> bool:
-    shutter = camera.shutter
-    return moves(transform, time, shutter.open, shutter.close)
+def _name_at(scene: Scene, path: Path) -> str | None:
+    """What a shape or light at the top of the scene calls itself."""
+    if path[0] not in ("shapes", "lights") or len(path) != 2:
+        return None
+    things: Any = getattr(scene, str(path[0]))
+    name: str | None = things[path[1]].name
+    return name
 
 
-def _where(kind: str, index: int, name: str | None) -> str:
-    return f"{kind}/{index}" + (f" ({name})" if name else "")
+def _lens(frame: Frame) -> Iterable[Use]:
+    radius = frame.scene.camera.lens.aperture_radius
+    if radius > 0:
+        yield Use(("camera", "lens", "aperture_radius"), f"is {radius:g} m")
 
 
-def _shapes(scene: Scene) -> Iterator[tuple[str, Shape | Sphere | Quad | Disc | Mesh]]:
-    """Every shape that is really placed in the scene, with where it stands."""
-    used = set()
-    for i, shape in enumerate(scene.shapes):
-        yield _where("shapes", i, shape.name), shape
-        if isinstance(shape, Instance):
-            used.add(shape.prototype)
-    for name in sorted(used & scene.prototypes.keys()):
-        for i, shape in enumerate(scene.prototypes[name]):
-            yield f"prototypes/{name}/{i}", shape
+def _camera_motion(frame: Frame) -> Iterable[Use]:
+    if frame.moves(frame.scene.camera.transform):
+        yield Use(("camera", "transform"), "moves while the shutter is open")
 
 
-def used_materials(scene: Scene) -> Iterator[tuple[str, Material]]:
-    """Every material that some placed shape has, with where it stands."""
-    names = {s.material for _, s in _shapes(scene) if not isinstance(s, Instance) and s.material is not None}
-    for name in sorted(names & scene.materials.keys()):
-        yield f"materials/{name}", scene.materials[name]
-
-
-def _lens(scene: Scene, time: float) -> Iterable[str]:
-    if scene.camera.lens.aperture_radius > 0:
-        yield f"camera/lens/aperture_radius is {scene.camera.lens.aperture_radius:g} m"
-
-
-def _camera_motion(scene: Scene, time: float) -> Iterable[str]:
-    if _moves(scene.camera.transform, scene.camera, time):
-        yield "camera/transform moves while the shutter is open"
-
-
-def _motion(scene: Scene, time: float) -> Iterable[str]:
-    for where, shape in _shapes(scene):
-        if _moves(shape.transform, scene.camera, time):
-            yield f"{where} moves while the shutter is open"
+def _shining(scene: Scene) -> Iterator[tuple[Path, Any]]:
     for i, light in enumerate(scene.lights):
-        if _moves(light.transform, scene.camera, time):
-            yield f"{_where('lights', i, light.name)} moves while the shutter is open"
+        if shines(light):
+            yield ("lights", i), light
 
 
-def _deformation(scene: Scene, time: float) -> Iterable[str]:
-    for where, shape in _shapes(scene):
-        if (
-            isinstance(shape, Mesh)
-            and shape.deformation is not None
-            and scene.camera.shutter.close > scene.camera.shutter.open
-        ):
-            yield f"{where} deforms while the shutter is open"
+def _motion(frame: Frame) -> Iterable[Use]:
+    for path, thing in (*placed_shapes(frame.scene), *_shining(frame.scene)):
+        if frame.moves(thing.transform):
+            yield Use(path, "moves while the shutter is open")
 
 
-def _instancing(scene: Scene, time: float) -> Iterable[str]:
-    for where, shape in _shapes(scene):
+def _deformation(frame: Frame) -> Iterable[Use]:
+    for path, shape in placed_shapes(frame.scene):
+        if isinstance(shape, Mesh) and deforms(shape, frame.shutter):
+            yield Use(path, "deforms while the shutter is open")
+
+
+def _instancing(frame: Frame) -> Iterable[Use]:
+    for path, shape in placed_shapes(frame.scene):
         if isinstance(shape, Instance):
-            yield f"{where} is an instance"
-        elif not isinstance(shape, Plane) and _moves(shape.transform, scene.camera, time):
-            yield f"{where} moves"
-        elif isinstance(shape, Sphere) and not is_similarity(matrix_at(shape.transform, time)):
-            yield f"{where} is a stretched sphere"
+            yield Use(path, "is an instance")
+        elif not isinstance(shape, Plane) and frame.moves(shape.transform):
+            yield Use(path, "moves")
+        elif isinstance(shape, Sphere) and not is_similarity(matrix_at(shape.transform, frame.shutter.first)):
+            yield Use(path, "is a stretched sphere")
 
 
-def _round(scene: Scene, time: float) -> Iterable[str]:
-    for where, shape in _shapes(scene):
+def _round(frame: Frame) -> Iterable[Use]:
+    for path, shape in placed_shapes(frame.scene):
         if isinstance(shape, (Sphere, Disc, Plane)):
-            yield f"{where} is a {shape.type}"
+            yield Use(path, f"is a {shape.type}")
 
 
-def emitting_shapes(scene: Scene) -> Iterator[str]:
-    """Where the shapes stand that emit."""
-    for where, shape in _shapes(scene):
-        if isinstance(shape, (Sphere, Quad, Disc, Mesh)) and shape.emission is not None:
-            yield where
+def _area_lights(frame: Frame) -> Iterable[Use]:
+    for path, shape in placed_shapes(frame.scene):
+        if emits(shape):
+            yield Use(path, "emits")
 
 
-def _area_lights(scene: Scene, time: float) -> Iterable[str]:
-    for where in emitting_shapes(scene):
-        yield f"{where} emits"
-
-
-def _delta_lights(scene: Scene, time: float) -> Iterable[str]:
-    for i, light in enumerate(scene.lights):
-        yield f"{_where('lights', i, light.name)} is a {light.type} light"
-
-
-def _emitter_count(scene: Scene) -> int:
-    """Area lights: every placed copy of an emitting prototype is one."""
-    count = 0
-    for shape in scene.shapes:
-        parts = scene.prototypes.get(shape.prototype, ()) if isinstance(shape, Instance) else (shape,)
-        count += sum(not isinstance(part, (Plane, Instance)) and part.emission is not None for part in parts)
-    return count
+def _delta_lights(frame: Frame) -> Iterable[Use]:
+    for path, light in _shining(frame.scene):
+        yield Use(path, f"is a {light.type} light")
 
 
 def _light_count(scene: Scene) -> int:
-    return _emitter_count(scene) + len(scene.lights) + (scene.environment is not None)
+    """Lights that shine: every placed copy of an emitting prototype is one."""
+    count = len(tuple(_shining(scene))) + (lit_environment(scene) is not None)
+    for shape in scene.shapes:
+        parts = scene.prototypes.get(shape.prototype, ()) if isinstance(shape, Instance) else (shape,)
+        count += sum(emits(part) for part in parts)
+    return count
 
 
-def _many_lights(scene: Scene, time: float) -> Iterable[str]:
-    count = _light_count(scene)
+def _many_lights(frame: Frame) -> Iterable[Use]:
+    count = _light_count(frame.scene)
     if count > 1:
-        yield f"there are {count} lights to choose from"
+        yield Use(("integrator", "light_selection"), f"has {count} lights to choose from")
 
 
 def light_selection(scene: Scene) -> str:
@@ -220,52 +240,72 @@ def light_selection(scene: Scene) -> str:
     return "tree" if _light_count(scene) >= TREE_LIGHTS else "power"
 
 
-def _light_tree(scene: Scene, time: float) -> Iterable[str]:
-    count = _light_count(scene)
-    if count > 1 and light_selection(scene) == "tree":
-        yield f"{count} lights are chosen by the light tree"
+def _light_tree(frame: Frame) -> Iterable[Use]:
+    if _light_count(frame.scene) > 1 and light_selection(frame.scene) == "tree":
+        yield Use(("integrator", "light_selection"), "is the light tree")
 
 
-def _environment(scene: Scene, time: float) -> Iterable[str]:
-    if scene.environment is not None:
-        yield f"environment is {scene.environment.type}"
+def _environment(frame: Frame) -> Iterable[Use]:
+    environment = lit_environment(frame.scene)
+    if environment is not None:
+        yield Use(("environment",), f"is {environment.type}")
 
 
-def _environment_image(scene: Scene, time: float) -> Iterable[str]:
-    if scene.environment is not None and scene.environment.type == "image":
-        yield "environment is an image"
+def _environment_image(frame: Frame) -> Iterable[Use]:
+    environment = lit_environment(frame.scene)
+    if environment is not None and environment.type == "image":
+        yield Use(("environment",), "is an image")
 
 
-def _gloss(scene: Scene, time: float) -> Iterable[str]:
-    for where, material in used_materials(scene):
-        if material.type in GLOSSY:
-            yield f"{where} is {material.type}"
+def _gloss(frame: Frame) -> Iterable[Use]:
+    for name, material in used_materials(frame.scene).items():
+        if isinstance(material, (Phong, Mirror, Conductor, Plastic)):
+            yield Use(("materials", name), f"is {material.type}")
+        elif isinstance(material, (Dielectric, ThinDielectric)) and widths(material)[0] > 0:
+            yield Use(("materials", name), "is rough")
 
 
-def _transmission(scene: Scene, time: float) -> Iterable[str]:
-    for where, material in used_materials(scene):
-        if material.type in TRANSMITTING:
-            yield f"{where} transmits"
+def _transmission(frame: Frame) -> Iterable[Use]:
+    for name, material in used_materials(frame.scene).items():
+        if isinstance(material, (Dielectric, ThinDielectric, DiffuseTransmission)):
+            yield Use(("materials", name), "transmits")
 
 
-def _textures(scene: Scene, time: float) -> Iterable[str]:
-    for where, material in used_materials(scene):
-        for key in type(material).model_fields:
-            value = getattr(material, key)
-            if isinstance(value, TextureRef):
-                yield f"{where}/{key} is the texture {value.texture}"
+def _textures(frame: Frame) -> Iterable[Use]:
+    for path, texture in texture_uses(frame.scene):
+        yield Use(path, f"is the texture {texture}")
 
 
-def _indirect(scene: Scene, time: float) -> Iterable[str]:
-    if scene.integrator.max_bounces > 0:
-        yield f"integrator/max_bounces is {scene.integrator.max_bounces}"
-    for reason in _gloss(scene, time):
-        yield f"{reason}: mirrors show lights even without bounces"
+def _indirect(frame: Frame) -> Iterable[Use]:
+    if _light_count(frame.scene) == 0:
+        return
+    bounces = frame.scene.integrator.max_bounces
+    if bounces > 0 and _reflects(frame.scene):
+        yield Use(("integrator", "max_bounces"), f"is {bounces}")
+    for name, material in used_materials(frame.scene).items():
+        if has_delta_lobe(material):
+            yield Use(("materials", name), "shows lights in its mirror directions even without bounces")
 
 
-def _layers(scene: Scene, time: float) -> Iterable[str]:
-    if scene.film.layers:
-        yield f"film/layers asks for {', '.join(scene.film.layers)}"
+def _reflects(scene: Scene) -> bool:
+    """Whether some surface sends light on. Lamps without a material are black, other shapes without one gray."""
+    if any(
+        not isinstance(m, Diffuse) or not is_black(scene, m.base_color)
+        for m in used_materials(scene).values()
+    ):
+        return True
+    return any(
+        not isinstance(shape, Instance)
+        and shape.material is None
+        and (isinstance(shape, Plane) or shape.emission is None)
+        for _, shape in placed_shapes(scene)
+    )
+
+
+def _layers(frame: Frame) -> Iterable[Use]:
+    layers = frame.scene.film.layers
+    if layers:
+        yield Use(("film", "layers"), f"asks for {', '.join(layers)}")
 
 
 _FINDERS: Final = {

@@ -397,6 +397,12 @@ CONSTANTS: Final[dict[str, int]] = {
     "OPTION_NO_MIS": 2,
     "OPTION_LIGHT_TREE": 4,  # picks by the light tree, not by the table
     "LEVEL_NONE": 255,  # adaptive: a pixel that takes the kept samples and no others
+    "OPTION_OTHER_SHIFT": 16,  # above: the groups of dimensions that draw from the second stream (sensitivity.py)
+    "GROUP_PIXEL": 1,
+    "GROUP_LENS": 2,
+    "GROUP_TIME": 4,
+    "GROUP_LIGHTS": 8,
+    "GROUP_DIRECTIONS": 16,
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

@@ -14,7 +14,7 @@ from typing import Final
 from penumbra_scene.materials import Material
 from penumbra_scene.scene import Scene
 
-from penumbra_kernels.features import emitting_shapes, used_materials
+from penumbra_kernels.reach import emits, placed_shapes, used_materials
 
 SMOOTH_ROUGHNESS: Final = 0.01
 """Below it a microfacet surface is a perfect mirror or a clear pane (docs/numerics.md)."""
@@ -37,7 +37,8 @@ def not_covered(scene: Scene) -> tuple[Limit, ...]:
 
 
 def _limits(scene: Scene) -> Iterator[Limit]:
-    smooth = next((where for where, material in used_materials(scene) if _is_smooth(material)), None)
+    materials = used_materials(scene).items()
+    smooth = next((f"materials/{name}" for name, material in materials if _is_smooth(material)), None)
     if smooth is not None:
         yield from _caustics(scene, smooth)
     bounces = scene.integrator.max_bounces
@@ -55,7 +56,8 @@ def _caustics(scene: Scene, smooth: str) -> Iterator[Limit]:
             f"lights/{i} is a {light.type} light and {smooth} is smooth: no path can meet that light by way of it",
         )
         break
-    emitter = next(emitting_shapes(scene), None)
+    places = ("/".join(str(key) for key in path) for path, shape in placed_shapes(scene) if emits(shape))
+    emitter = next(places, None)
     if scene.environment is not None and scene.environment.type == "image":
         emitter = emitter or "environment"
     if emitter is not None:

@@ -31,6 +31,8 @@ FIRST_THREADS: Final = 4096
 MAX_THREADS: Final = 1 << 22
 """Work-items of one launch on a GPU: enough to fill any."""
 
+_OTHER_SEED: Final = 0x2545F4914F6CDD1D
+
 Flags = Mapping[str, int]
 
 
@@ -93,10 +95,14 @@ def build_program(device: Device, flags: Flags) -> cl.Program:
 
     def launch_nothing(program: cl.Program) -> None:
         """Every argument is there, and no pixel: item_count is 0."""
+        import pyopencl as cl
+
         blank = device.upload(np.zeros((), PARAMS))
         names = [name for name, present in ARGUMENTS if present(flags) and name != "first_item"]
         arguments = [blank, *(device.allocate(0) for _ in names[1:]), np.uint32(0)]
-        device.launch(program.trace, arguments, *((1, 1) if device.info.kind == "cpu" else (64, 64)))
+        device.launch(
+            cl.Kernel(program, "trace"), arguments, *((1, 1) if device.info.kind == "cpu" else (64, 64))
+        )
 
     return device.build("trace.cl", flags, first_launch=launch_nothing)
 
@@ -106,13 +112,24 @@ class Tracer:
     ('generic'); the bits are the same."""
 
     def __init__(
-        self, device: Device, compiled: CompiledScene, plan: SamplePlan, *, program: str = "specialised"
+        self,
+        device: Device,
+        compiled: CompiledScene,
+        plan: SamplePlan,
+        *,
+        program: str = "specialised",
+        pick_freeze: bool = False,
     ) -> None:
+        """pick_freeze: `other_groups` may name groups of dimensions that draw from a second stream (sensitivity.py)."""
         self.device = device
         self.compiled = compiled
         self.plan = plan
         features = compiled.features
         self.flags = features.flags() if program == "specialised" else features.generic_flags()
+        if pick_freeze:
+            self.flags = {**self.flags, "PENUMBRA_PICK_FREEZE": 1}
+        self.other_groups = 0
+        """GROUP_* bits."""
         started = time.perf_counter()
         builds = device.builds
         self._kernel = build_program(device, self.flags).trace
@@ -127,6 +144,7 @@ class Tracer:
         }
         self.upload_seconds = time.perf_counter() - started
         self._params = compiled.params.copy()
+        self._options = self._params["options"].copy()
         self._params["replicate_count"] = plan.replicates
         self._plan_strata(plan.strata)
         self._items_per_second = 0.0
@@ -184,6 +202,7 @@ class Tracer:
             max(GROUP_SAMPLES // sample_count, 1) if self.device.info.kind == "cpu" else 1
         )
         params["item_count"] = items
+        params["options"] = self._options | np.uint32(self.other_groups << CONSTANTS["OPTION_OTHER_SHIFT"])
         sums = np.empty(shape, SUM)
         layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
         buffers["params"] = self.device.upload(params)
@@ -222,8 +241,9 @@ class Tracer:
         from penumbra_kernels.sampling.random_plane import counts
 
         params = self._params
+        other = self.other_groups & CONSTANTS["GROUP_PIXEL"]  # how many fall where is the pixel's dimension
         return counts(
-            int(params["seed"]),
+            int(params["seed"]) ^ (_OTHER_SEED if other else 0),
             int(params["film_width"]),
             int(params["film_height"]),
             tile,

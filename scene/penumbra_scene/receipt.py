@@ -10,6 +10,7 @@ from pydantic import Field
 from penumbra_scene.base import Bool, Float, Integer, Measured, Model, NotBoolean, Unit
 from penumbra_scene.film import Crop, Filter
 from penumbra_scene.job import Count, ErrorPoint, Interval, JobId, StopReason
+from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.settings import Stop
 
 
@@ -204,6 +205,8 @@ class Receipt(Model):
     effects_out: tuple[EffectReport, ...] = ()
     not_covered: tuple[EffectReport, ...] = ()
     """Light that this render leaves out, or finds by chance alone; neither the picture nor its error bars know of it."""
+    effects_measured: EffectsMeasured | None = None
+    """What each effect cost, where the job asked for it."""
     devices: tuple[ReceiptDevice, ...] = ()
     bit_class: str
     """On a device of this class the plan below gives the same bits again; 'mixed' if there were several."""

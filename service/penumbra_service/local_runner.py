@@ -82,6 +82,7 @@ class LocalRunner:
             time=request.time,
             priority=task.priority,
             strict=request.strict,
+            measure_effects=request.measure_effects,
             created=task.created,
             started=task.started,
         )

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from penumbra_scene.errors import Problem, make_problem
 from penumbra_scene.job import ErrorPoint, JobState, Progress
+from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.protocol import ServedEngine
@@ -20,6 +21,7 @@ from penumbra_service.film.film import MEMORY_LIMIT
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.receipt import ReceiptContext
+from penumbra_service.measuring import for_receipt
 from penumbra_service.results import Latest, write_pictures, write_results
 from penumbra_service.running import Control, Outcome
 from penumbra_service.running import Halt as Ask
@@ -58,6 +60,8 @@ class Picture:
     memory_limit: int = MEMORY_LIMIT
     strict: bool = False
     """Only devices of one bit class."""
+    measure_effects: bool = False
+    """Say in the receipt what each effect cost."""
 
 
 class PictureRunner:
@@ -101,7 +105,38 @@ class PictureRunner:
         )
         picture.control.when_halted(lambda ask: runner.halt(Halt.CANCEL if ask is Ask.CANCEL else Halt.PAUSE))
         picture.control.when_prioritized(runner.prioritize)
-        return _ended(picture, runner.run(), latest)
+        return self._ended(picture, runner.run(), latest)
+
+    def _ended(self, picture: Picture, result: RunResult, latest: Latest) -> Outcome:
+        if result.failure is not None:
+            return Outcome(problem=problem_of(result.failure))
+        if result.state is not JobState.FINISHING:
+            return Outcome()
+        measured, warnings = self._measure(picture, result)
+        context = ReceiptContext(
+            job=picture.job,
+            name=picture.name,
+            created=picture.created,
+            started=picture.started,
+            finished=datetime.now(UTC),
+            queue_seconds=(picture.started - picture.created).total_seconds(),
+            time=picture.time,
+            frame=picture.frame,
+            effects_measured=measured,
+            warnings=warnings,
+        )
+        try:
+            receipt = write_results(picture.folder, picture.scene, result, latest.image, context)
+        except OSError as error:
+            log.exception("job %s: its results cannot be written", picture.job)
+            return Outcome(problem=problem_of(Failure("storage", f"its results cannot be written: {error}")))
+        return Outcome(result.reason, receipt=receipt)
+
+    def _measure(self, picture: Picture, result: RunResult) -> tuple[EffectsMeasured | None, tuple[str, ...]]:
+        if not picture.measure_effects:
+            return None, ()
+        devices = [use.id for use in result.record.devices.values()]
+        return for_receipt(picture.folder, picture.time, devices, self._assets, self._scene_folder)
 
     def _reporter(self, picture: Picture) -> Callable[[JobState, Progress], None]:
         used: set[str] = set()
@@ -121,29 +156,6 @@ class PictureRunner:
             picture.report(state, {**news, "devices": sorted(used), "curve": list(curve)})
 
         return report
-
-
-def _ended(picture: Picture, result: RunResult, latest: Latest) -> Outcome:
-    if result.failure is not None:
-        return Outcome(problem=problem_of(result.failure))
-    if result.state is not JobState.FINISHING:
-        return Outcome()
-    context = ReceiptContext(
-        job=picture.job,
-        name=picture.name,
-        created=picture.created,
-        started=picture.started,
-        finished=datetime.now(UTC),
-        queue_seconds=(picture.started - picture.created).total_seconds(),
-        time=picture.time,
-        frame=picture.frame,
-    )
-    try:
-        receipt = write_results(picture.folder, picture.scene, result, latest.image, context)
-    except OSError as error:
-        log.exception("job %s: its results cannot be written", picture.job)
-        return Outcome(problem=problem_of(Failure("storage", f"its results cannot be written: {error}")))
-    return Outcome(result.reason, receipt=receipt)
 
 
 def _error_point(progress: Progress) -> dict[str, Any]:

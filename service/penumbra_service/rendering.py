@@ -157,6 +157,7 @@ def _picture(request: JobRequest, work: Path, report: Callable[[ProgressEvent], 
         show=None,
         time=request.time,
         strict=request.strict,
+        measure_effects=request.measure_effects,
     )
 
 

@@ -17,8 +17,14 @@ BASE: dict[str, Any] = {
     "integrator": {"max_bounces": 0},
     "shapes": [{"type": "quad"}],
 }
+LIT: dict[str, Any] = {"lights": [{"type": "point"}]}
+"""Light to be carried on: without any there is none."""
+DARK = {"type": "point", "intensity": 0}
 SHUTTER = {"open": 0.0, "close": 1.0}
 MOVE = {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": [{"translate": [1, 0, 0]}]}]}
+STRETCH = {
+    "keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": [{"scale": [1, 2, 1]}]}],
+}
 TRIANGLE = {"positions": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "indices": [[0, 1, 2]]}
 
 
@@ -115,8 +121,27 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
         {"environment": {"type": "image", "image": {"file": "sky.exr"}}},
         {"environment", "environment_image"},
     ),
-    ("gold", shape({"type": "conductor"}), {"gloss", "indirect"}),
-    ("glass", shape({"type": "dielectric"}), {"gloss", "transmission", "indirect"}),
+    ("gold", shape({"type": "conductor"}), {"gloss"}),
+    ("gold in the light", {**LIT, **shape({"type": "conductor"})}, {"gloss", "delta_lights"}),
+    (
+        "polished gold",
+        {**LIT, **shape({"type": "conductor", "roughness": 0})},
+        {"gloss", "delta_lights", "indirect"},
+    ),
+    ("a mirror in the dark", shape({"type": "mirror"}), {"gloss"}),
+    ("a mirror", {**LIT, **shape({"type": "mirror"})}, {"gloss", "delta_lights", "indirect"}),
+    ("clear glass", shape({"type": "dielectric"}), {"transmission"}),
+    (
+        "clear glass in the light",
+        {**LIT, **shape({"type": "dielectric"})},
+        {"transmission", "delta_lights", "indirect"},
+    ),
+    ("glass too smooth to tell", shape({"type": "dielectric", "roughness": 0.005}), {"transmission"}),
+    ("frosted glass", shape({"type": "dielectric", "roughness": 0.3}), {"gloss", "transmission"}),
+    ("glass that bends nothing", shape({"type": "dielectric", "roughness": 0.3, "ior": 1}), {"transmission"}),
+    ("a frosted sheet", shape({"type": "thin_dielectric", "roughness": 0.3}), {"gloss", "transmission"}),
+    ("a cone without colour", shape({"type": "phong", "specular_color": 0}), set()),
+    ("a leaf that nothing passes", shape({"type": "diffuse_transmission", "transmittance": 0}), set()),
     ("paper", shape({"type": "diffuse_transmission"}), {"transmission"}),
     ("glass that no shape is made of", {"materials": {"m": {"type": "dielectric"}}}, set()),
     (
@@ -127,7 +152,82 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
         },
         {"textures"},
     ),
-    ("bounces", {"integrator": {"max_bounces": 3}}, {"indirect"}),
+    (
+        "a texture that is one colour",
+        {
+            "textures": {"t": {"type": "constant", "color": 0.5}},
+            **shape({"type": "diffuse", "base_color": {"texture": "t"}}),
+        },
+        set(),
+    ),
+    (
+        "a texture of a material that no shape is made of",
+        {
+            "textures": {"t": {"type": "checker"}},
+            "materials": {"m": {"type": "diffuse", "base_color": {"texture": "t"}}},
+        },
+        set(),
+    ),
+    ("bounces in the dark", {"integrator": {"max_bounces": 3}}, set()),
+    ("bounces", {**LIT, "integrator": {"max_bounces": 3}}, {"indirect", "delta_lights"}),
+    (
+        "bounces between black walls",
+        {**LIT, **shape({"type": "diffuse", "base_color": 0}), "integrator": {"max_bounces": 3}},
+        {"delta_lights"},
+    ),
+    (
+        "bounces between lamps alone",
+        {"shapes": [{"type": "quad", "emission": {"radiance": 1}}], "integrator": {"max_bounces": 3}},
+        {"area_lights"},
+    ),
+    ("a point light without power", {"lights": [DARK]}, set()),
+    ("one of two lights without power", {"lights": [DARK, {"type": "spot"}]}, {"delta_lights"}),
+    (
+        "a moving light without power",
+        {"lights": [{**DARK, "transform": MOVE}], "camera": {"type": "perspective", "shutter": SHUTTER}},
+        set(),
+    ),
+    ("a lamp without power", {"shapes": [{"type": "quad", "emission": {"radiance": 0}}]}, set()),
+    ("a black sky", {"environment": {"type": "constant", "radiance": 0}}, set()),
+    (
+        "an image of a sky, scaled to nothing",
+        {"environment": {"type": "image", "image": {"file": "sky.exr"}, "scale": 0}},
+        set(),
+    ),
+    (
+        "a shape that has moved before the shutter opens",
+        {
+            "camera": {"type": "perspective", "shutter": {"open": 2.0, "close": 3.0}},
+            "shapes": [{"type": "quad", "transform": MOVE}],
+        },
+        set(),
+    ),
+    (
+        "a sphere that was stretched before the shutter opens",
+        {
+            "camera": {"type": "perspective", "shutter": {"open": 2.0, "close": 3.0}},
+            "shapes": [{"type": "sphere", "transform": STRETCH}],
+        },
+        {"round", "instancing"},
+    ),
+    (
+        "a mesh that deforms after the shutter closes",
+        {
+            "camera": {"type": "perspective", "shutter": {"open": 0.0, "close": 0.25}},
+            "shapes": [
+                {
+                    "type": "mesh",
+                    **TRIANGLE,
+                    "deformation": [
+                        {"time": 0, "positions": TRIANGLE["positions"]},
+                        {"time": 0.5, "positions": TRIANGLE["positions"]},
+                        {"time": 1, "positions": [[0, 0, 1], [1, 0, 1], [0, 1, 1]]},
+                    ],
+                }
+            ],
+        },
+        set(),
+    ),
     ("layers", {"film": {"layers": ["normal"]}}, {"layers"}),
 ]
 
@@ -137,6 +237,21 @@ def test_only_the_effects_that_the_scene_calls_for(change: dict[str, Any], expec
     features = analyse(Scene.model_validate({**BASE, **change}))
     assert set(features.present) == expected
     assert all(v.reason for v in features.verdicts)
+    assert {v.name for v in features.verdicts if v.pointer is not None} == expected
+
+
+def test_pointers_lead_to_what_calls_for_an_effect() -> None:
+    scene = {
+        **BASE,
+        **shape({"type": "dielectric"}),
+        "materials": {"a/b": {"type": "dielectric"}},
+        "shapes": [{"type": "quad", "material": "a/b"}],
+        "lights": [DARK, {"type": "point", "name": "key"}],
+    }
+    verdicts = {v.name: v for v in analyse(Scene.model_validate(scene)).verdicts}
+    assert verdicts["transmission"].pointer == "/materials/a~1b"
+    assert verdicts["delta_lights"].pointer == "/lights/1"
+    assert verdicts["delta_lights"].reason == "lights/1 (key) is a point light"
 
 
 def test_every_verdict_says_where() -> None:

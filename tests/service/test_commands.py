@@ -200,13 +200,15 @@ def scene(tmp_path: Path) -> Path:
 
 def test_render_leaves_all_results(scene: Path, tmp_path: Path, environment: dict[str, str]) -> None:
     out = tmp_path / "out"
-    words = ("--out", str(out), "--samples", "32", "--seed", "5", "--quiet")
+    words = ("--out", str(out), "--samples", "32", "--seed", "5", "--quiet", "--measure-effects")
     result = _penumbra("render", str(scene), *words, environment=environment)
     assert (result.returncode, result.stderr) == (Exit.OK, "")
     names = {"result.exr", "thumbnail.png", "heatmap.png", "receipt.json"}
     assert {path.name for path in out.iterdir()} == names
     receipt = Receipt.model_validate_json((out / "receipt.json").read_bytes())
     assert (receipt.samples, receipt.seed) == (32, "5")
+    assert receipt.effects_measured is not None
+    assert receipt.effects_measured.noise[-1].group == "interactions"
     assert "32 samples a pixel" in result.stdout
     assert str(out / "result.exr") in result.stdout
 
@@ -248,7 +250,12 @@ def test_explain_says_why_an_effect_is_in(tmp_path: Path, environment: dict[str,
     answer = json.loads(told.stdout)
     verdicts = {v["effect"]: v for v in answer["effects"]}
     assert [limit["name"] for limit in answer["not_covered"]] == ["light of long paths"]
-    assert verdicts["round"] == {"effect": "round", "in": True, "reason": "shapes/0 is a sphere"}
+    assert verdicts["round"] == {
+        "effect": "round",
+        "in": True,
+        "reason": "shapes/0 is a sphere",
+        "pointer": "/shapes/0",
+    }
     assert not verdicts["transmission"]["in"]
 
 

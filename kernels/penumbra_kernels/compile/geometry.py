@@ -37,6 +37,7 @@ from penumbra_kernels.compile.primitives import (
 )
 from penumbra_kernels.compile.transforms import is_similarity
 from penumbra_kernels.layout import CONSTANTS, INSTANCE, KEYFRAME, SHAPE
+from penumbra_kernels.reach import emits
 
 Surface = Sphere | Quad | Disc | Mesh
 
@@ -48,7 +49,7 @@ PRIMITIVE_PLANE: Final = 3
 
 @dataclass(frozen=True)
 class ShapeRecord:
-    """One entry of `shapes`, and where its primitives are. Emitters are those with `model.emission`."""
+    """One entry of `shapes`, and where its primitives are."""
 
     shape: int
     """Index into arrays["shapes"]; the lights compiler writes its light's index into ["light"] there."""
@@ -71,7 +72,7 @@ class ShapeRecord:
 
     @property
     def emits(self) -> bool:
-        return not isinstance(self.model, Plane) and self.model.emission is not None
+        return emits(self.model)
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class CompiledGeometry:
 
     @property
     def emitters(self) -> tuple[ShapeRecord, ...]:
-        """The records that emit."""
+        """The records that give light."""
         return tuple(record for record in self.records if record.emits)
 
 
@@ -159,8 +160,8 @@ class _Compiler:
     def _material(self, shape: Surface | Plane) -> int:
         if shape.material is not None:
             return self.materials[shape.material]
-        emits = not isinstance(shape, Plane) and shape.emission is not None
-        return BLACK_MATERIAL if emits else DEFAULT_MATERIAL
+        lamp = not isinstance(shape, Plane) and shape.emission is not None
+        return BLACK_MATERIAL if lamp else DEFAULT_MATERIAL
 
     def _shape(self, model: Surface | Plane, scene_shape: int) -> NDArray[Any]:
         record = np.zeros((), SHAPE)
@@ -264,7 +265,7 @@ class _Compiler:
         for part in self.prototypes[name]:
             self._add_instance(part, outer, scene_shape + 1)
         for model in self.scene.prototypes[name]:
-            if model.emission is not None:
+            if emits(model):
                 self._place(model, scene_shape, outer, where, Motion.of(model.transform, self.shutter))
 
     def _prototype(self, name: str, scene_shape: int, outer: Motion) -> list[_Part]:
@@ -274,7 +275,7 @@ class _Compiler:
         parts: list[_Part] = []
         next_instance = len(self.instances)
         for i, model in enumerate(self.scene.prototypes[name]):
-            if model.emission is not None:
+            if emits(model):
                 continue
             where = f"prototypes/{name}/{i}"
             inner = Motion.of(model.transform, self.shutter)

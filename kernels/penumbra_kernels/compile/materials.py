@@ -93,16 +93,29 @@ def _colors(material: Material) -> tuple[Color, Color]:
             return material.base_color, black
 
 
-def _set_roughness(record: NDArray[Any], material: Conductor | Plastic | Dielectric | ThinDielectric) -> None:
-    if isinstance(material, ThinDielectric):
-        ax, ay = alphas(material.roughness, 0.0)
-        rotation, compensate = 0.0, True
-    else:
-        ax, ay = alphas(material.roughness, material.anisotropy)
-        rotation, compensate = math.radians(material.rotation) % (2.0 * math.pi), material.energy_compensation
+Microfacets = Conductor | Plastic | Dielectric | ThinDielectric
+
+
+def widths(material: Microfacets) -> tuple[float, float]:
+    """GGX widths along and across the tangent, (0, 0) where the lobe is a delta."""
+    ax, ay = alphas(material.roughness, 0.0 if isinstance(material, ThinDielectric) else material.anisotropy)
     if isinstance(material, Dielectric) and abs(material.ior - 1.0) * ax < ALPHA_MIN:
         # Refraction turns rays by |ior - 1| times the microfacet's slope: below ALPHA_MIN the pane is clear.
-        ax = ay = 0.0
+        return 0.0, 0.0
+    return ax, ay
+
+
+def has_delta_lobe(material: Material) -> bool:
+    """Whether the material sends some light on in one direction alone."""
+    return isinstance(material, Mirror) or (isinstance(material, Microfacets) and widths(material)[0] == 0.0)
+
+
+def _set_roughness(record: NDArray[Any], material: Microfacets) -> None:
+    ax, ay = widths(material)
+    if isinstance(material, ThinDielectric):
+        rotation, compensate = 0.0, True
+    else:
+        rotation, compensate = math.radians(material.rotation) % (2.0 * math.pi), material.energy_compensation
     record["alpha_x"], record["alpha_y"] = ax, ay
     record["rotation"] = rotation if ax != ay else 0.0
     record["flags"] |= CONSTANTS["MATERIAL_FLAG_COMPENSATE"] if compensate else 0

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from penumbra_scene.shapes import Mesh, MeshKeyframe
 
 from penumbra_kernels.compile import bounds
 from penumbra_kernels.compile.transforms import ORIGIN, Transform, keyframes_of, matrix_at, poses_of, shifted
@@ -96,3 +98,19 @@ def _still_keyframe(matrix: Matrix) -> NDArray[Any]:
     record["stretch"][0, :, :3] = pose.stretch
     record["stretch"][0, 1, 3] = 1.0
     return record
+
+
+def form_keys(keys: tuple[MeshKeyframe, ...], first: float, last: float) -> tuple[MeshKeyframe, ...]:
+    """The keyframes that say what form the mesh has at times in [first, last]."""
+    times = [key.time for key in keys]
+    begin = max(0, bisect_right(times, first) - 1)
+    end = min(len(times) - 1, bisect_left(times, last))
+    return keys[begin : max(begin, end) + 1]
+
+
+def deforms(mesh: Mesh, shutter: Shutter) -> bool:
+    """Whether a mesh changes its form while the shutter is open."""
+    if mesh.deformation is None or shutter.open >= shutter.close:
+        return False
+    needed = form_keys(mesh.deformation, shutter.first, shutter.last)
+    return any(key.positions != needed[0].positions for key in needed)

@@ -20,7 +20,7 @@ from penumbra_kernels.compile.meshes import (
     quad_triangles,
     with_area,
 )
-from penumbra_kernels.compile.placement import Matrix, Shutter
+from penumbra_kernels.compile.placement import Matrix, Shutter, deforms, form_keys
 from penumbra_kernels.compile.transforms import quaternion_of
 from penumbra_kernels.layout import CONSTANTS, DISC, PACKET8, PLANE, SPHERE, TRIANGLE
 
@@ -250,23 +250,15 @@ def _deformation(
     form."""
     if mesh.deformation is None:
         return [(0.0, found.positions)]
-    times = np.array([key.time for key in mesh.deformation])
     if len(mesh.deformation[0].positions) != len(found.positions):
         raise AssetError(
             f"{where}: deformation keyframes have {len(mesh.deformation[0].positions)} positions,"
             f" but the mesh has {len(found.positions)}"
         )
-    begin = max(0, int(np.searchsorted(times, shutter.first, side="right")) - 1)
-    end = min(len(times) - 1, int(np.searchsorted(times, shutter.last, side="left")))
-    needed = mesh.deformation[begin : max(begin, end) + 1]
-    arrays = [(key.time - shutter.time, np.asarray(key.positions, np.float64)) for key in needed]
-    if len(arrays) > 1 and shutter.open < shutter.close and not _all_equal(arrays):
-        return arrays
+    needed = form_keys(mesh.deformation, shutter.first, shutter.last)
+    if deforms(mesh, shutter):
+        return [(key.time - shutter.time, np.asarray(key.positions, np.float64)) for key in needed]
     return [(0.0, _positions_at(needed, shutter.first))]
-
-
-def _all_equal(arrays: list[tuple[float, NDArray[np.float64]]]) -> bool:
-    return all(np.array_equal(positions, arrays[0][1]) for _, positions in arrays)
 
 
 def _positions_at(keys: tuple[MeshKeyframe, ...], time: float) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ from penumbra_kernels.compile.textures import compile_textures
 from penumbra_kernels.compile.transforms import matrix_at
 from penumbra_kernels.features import Features, analyse
 from penumbra_kernels.layout import CONSTANTS, PARAMS
+from penumbra_kernels.reach import stripped
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ def compile_scene(
     trees: kept by whoever compiles several frames, so that trees over what does not move are built once.
     """
     features = analyse(scene, time)
+    scene = stripped(scene)
     anchor = anchor_of(scene, time)
     textures, texels, texture_index = compile_textures(scene, assets)
     materials, material_index = compile_materials(scene, texture_index)

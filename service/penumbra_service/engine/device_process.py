@@ -40,10 +40,13 @@ from penumbra_service.engine.protocol import (
     RenderSpec,
     SceneLoaded,
     Started,
+    Waiting,
 )
 from penumbra_service.jobs.dispatch import SCENES_KEPT
 
 HEARTBEAT_SECONDS: Final = 2.0
+COMPILE_TICK_SECONDS: Final = 0.005
+"""How often a process with nothing to trace asks whether a program is there."""
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -65,7 +68,7 @@ class LoadedScene(Protocol):
     build_seconds: float
     compile_seconds: float
     compile_warm: bool
-    effects: tuple[tuple[str, bool, str], ...]
+    effects: tuple[tuple[str, bool, str, str | None], ...]
     program_hash: str
 
     def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
@@ -81,8 +84,14 @@ class Backend(Protocol):
     def open(self, device_id: str) -> DeviceDescription:
         """Take hold of one. Raises DeviceRefusedError."""
 
-    def load(self, spec: RenderSpec) -> LoadedScene:
-        """Raises SceneError, BuildRefusedError, DeviceRefusedError."""
+    def load(self, spec: RenderSpec) -> LoadedScene | None:
+        """None while another process compiles the scene's program: ask again.
+
+        Raises SceneError, BuildRefusedError, DeviceRefusedError.
+        """
+
+    def compiled(self, spec: RenderSpec) -> bool:
+        """Whether `load` would have an answer now."""
 
 
 class DeviceProcess:
@@ -94,6 +103,7 @@ class DeviceProcess:
         self._sending = threading.Lock()
         self._scenes: OrderedDict[str, LoadedScene] = OrderedDict()
         self._told: set[tuple[str, str]] = set()
+        self._waiting: list[Lease] = []
         self._phase = "idle"
 
     def introduce(self, wanted: Sequence[str]) -> str | None:
@@ -109,7 +119,7 @@ class DeviceProcess:
         threading.Thread(target=self._beat, daemon=True).start()
         while True:
             try:
-                lease = self._connection.recv()
+                lease = self._next()
             except (EOFError, OSError):
                 return
             if lease is None:
@@ -117,10 +127,27 @@ class DeviceProcess:
             self._do(lease)
             self._phase = "idle"
 
+    def _next(self) -> Lease | None:
+        """A lease that just came, or one that waited and whose program is there by now. None: the end."""
+        while self._waiting:
+            ready = next((lease for lease in self._waiting if self._backend.compiled(lease.spec)), None)
+            if ready is not None:
+                self._waiting.remove(ready)
+                return ready
+            if self._connection.poll(COMPILE_TICK_SECONDS):
+                break
+        lease = self._connection.recv()
+        assert lease is None or isinstance(lease, Lease)
+        return lease
+
     def _do(self, lease: Lease) -> None:
         self._send(Started(lease.id))
         try:
             scene = self._scene(lease)
+            if scene is None:
+                self._waiting.append(lease)
+                self._send(Waiting(lease.id))
+                return
             self._phase = f"trace {lease.id}"
             started = time.perf_counter()
             nodes = tuple(
@@ -141,16 +168,18 @@ class DeviceProcess:
             traceback.print_exc()
             self._send(LeaseFailure(lease.id, "internal", f"{type(error).__name__}: {error}"))
 
-    def _scene(self, lease: Lease) -> LoadedScene:
-        """From the scenes that are loaded, or load it; tells the job, once."""
+    def _scene(self, lease: Lease) -> LoadedScene | None:
+        """From the scenes that are loaded, or load it; tells the job, once. None while its program is compiled."""
         key = lease.spec.key
         scene = self._scenes.get(key)
         warm = scene is not None
         if scene is None:
             self._phase = f"load {lease.job}"
+            scene = self._backend.load(lease.spec)
+            if scene is None:
+                return None
             while len(self._scenes) >= SCENES_KEPT:
                 self._scenes.popitem(last=False)
-            scene = self._backend.load(lease.spec)
             self._scenes[key] = scene
         self._scenes.move_to_end(key)
         if not warm or (lease.job, key) not in self._told:

@@ -34,6 +34,7 @@ from penumbra_service.engine.protocol import (
     NoDevice,
     SceneLoaded,
     Started,
+    Waiting,
 )
 from penumbra_service.engine.slot import DeviceSlot
 from penumbra_service.engine.status import device_status
@@ -246,11 +247,13 @@ class LocalEngine:
         # One lease each in turn, so that the last ones spread over the devices.
         for _ in range(IN_FLIGHT):
             for slot in self._slots:
-                if slot.ready and len(slot.held) < IN_FLIGHT:
+                if slot.ready and slot.in_flight < IN_FLIGHT:
                     self._feed_one(slot)
 
     def _feed_one(self, slot: DeviceSlot) -> None:
         for source in self._ordered(slot.description.id):
+            if slot.awaits(source.scene):
+                continue
             lease = source.next_lease(slot.description)
             if lease is None:
                 continue
@@ -293,6 +296,8 @@ class LocalEngine:
                 slot.greeted(device)
             case Started(lease):
                 slot.begun(lease)
+            case Waiting(lease):
+                slot.put_off(lease)
             case SceneLoaded():
                 held = slot.held.get(slot.running or "")
                 slot.loaded()

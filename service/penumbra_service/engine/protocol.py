@@ -111,6 +111,13 @@ class Started:
 
 
 @dataclass(frozen=True)
+class Waiting:
+    """The lease's program is being compiled, in a process of its own; the device is free for leases of other scenes."""
+
+    lease: str
+
+
+@dataclass(frozen=True)
 class SceneLoaded:
     """A job's scene is on the device, its program built."""
 
@@ -122,8 +129,8 @@ class SceneLoaded:
     compile_seconds: float
     compile_warm: bool
     """The program came from the cache, or the process had it loaded."""
-    effects: tuple[tuple[str, bool, str], ...]
-    """(name, compiled in, why)."""
+    effects: tuple[tuple[str, bool, str, str | None], ...]
+    """(name, compiled in, why, JSON pointer to what calls for it)."""
     program_hash: str
 
 
@@ -173,7 +180,7 @@ class NoDevice:
     reason: str
 
 
-FromDevice = Devices | Hello | Started | SceneLoaded | LeaseResult | LeaseFailure | Heartbeat
+FromDevice = Devices | Hello | Started | Waiting | SceneLoaded | LeaseResult | LeaseFailure | Heartbeat
 ToJob = SceneLoaded | LeaseResult | LeaseFailure | LeaseLost | NoDevice
 
 

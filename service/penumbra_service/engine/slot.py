@@ -50,6 +50,8 @@ class DeviceSlot:
         self.held: OrderedDict[str, Held] = OrderedDict()
         self.running: str | None = None
         """The lease that the process works on."""
+        self.waiting: set[str] = set()
+        """Leases whose program is being compiled beside the device."""
         self.ready = False
         self.failures = 0
         """Processes in a row that ended before they said Hello."""
@@ -74,6 +76,15 @@ class DeviceSlot:
         if not self.ready:
             return DeviceState.STARTING
         return DeviceState.BUSY if self.held else DeviceState.IDLE
+
+    @property
+    def in_flight(self) -> int:
+        """Leases that keep the device busy."""
+        return len(self.held) - len(self.waiting)
+
+    def awaits(self, scene: str) -> bool:
+        """Whether a lease waits for this scene's program: more of its leases would only wait as well."""
+        return any(self.held[lease].source.scene == scene for lease in self.waiting)
 
     def start(self) -> None:
         """Begin a process; it says Hello when the device is open. Raises OSError."""
@@ -103,7 +114,14 @@ class DeviceSlot:
     def begun(self, lease_id: str) -> None:
         """The process has turned to a lease; it may have to load the scene first."""
         self.running = lease_id
+        self.waiting.discard(lease_id)
         self._allow(lease_id, SCENE_SECONDS)
+
+    def put_off(self, lease_id: str) -> None:
+        """The process has put the lease aside until its program is there."""
+        self.running = None
+        if lease_id in self.held:
+            self.waiting.add(lease_id)
 
     def loaded(self) -> None:
         """The scene of the running lease is on the device."""
@@ -116,6 +134,7 @@ class DeviceSlot:
         self.deadline = None
         self.leases_done += 1
         held = self.held.pop(lease_id, None)
+        self.waiting.discard(lease_id)
         if self.held:
             self._allow(next(iter(self.held)), SCENE_SECONDS)
         return held
@@ -139,6 +158,7 @@ class DeviceSlot:
         )
         self.connection.close()
         self.process = self.connection = self.deadline = self.running = None
+        self.waiting.clear()
         if self.ready:
             self.crashes += 1
         else:

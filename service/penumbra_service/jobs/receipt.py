@@ -12,6 +12,7 @@ from penumbra_kernels.allotment import own_samples
 from penumbra_kernels.limits import not_covered
 from penumbra_scene.check import picture_hash, scene_hash
 from penumbra_scene.job import ErrorPoint, Interval, StopReason
+from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.receipt import (
     AdaptiveReport,
     Counts,
@@ -52,6 +53,7 @@ class ReceiptContext:
     """Seconds: when the scene was looked at."""
     frame: int | None = None
     """Its number, where the job has several."""
+    effects_measured: EffectsMeasured | None = None
     warnings: tuple[str, ...] = field(default=())
 
 
@@ -90,10 +92,9 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         forecast=_forecast(record),
         counts=counts,
         adaptive=_adaptive(record),
-        effects_in=tuple(EffectReport(name=e.name, reason=e.reason) for e in record.effects if e.present),
-        effects_out=tuple(
-            EffectReport(name=e.name, reason=e.reason) for e in record.effects if not e.present
-        ),
+        effects_in=_effects(record, present=True),
+        effects_out=_effects(record, present=False),
+        effects_measured=context.effects_measured,
         not_covered=tuple(EffectReport(name=limit.name, reason=limit.reason) for limit in not_covered(scene)),
         devices=_devices(record),
         bit_class=record.bit_class,
@@ -113,6 +114,14 @@ def _missed(scene: Scene, record: RunRecord, reason: StopReason) -> tuple[str, .
     caps = (last.samples, None) if reason is StopReason.SAMPLES else (None, record.seconds)
     short = shortfall(record.points, stop.relative_error, stop.confidence, *caps)
     return () if short is None else (f"the error target was not met: {short.message}",)
+
+
+def _effects(record: RunRecord, *, present: bool) -> tuple[EffectReport, ...]:
+    return tuple(
+        EffectReport(name=e.name, reason=e.reason, pointer=e.pointer)
+        for e in record.effects
+        if e.present == present
+    )
 
 
 def versions() -> dict[str, str]:

@@ -34,6 +34,7 @@ class Effect:
     name: str
     present: bool
     reason: str
+    pointer: str | None = None
 
 
 @dataclass

@@ -1,9 +1,10 @@
 """A device process without OpenCL: its 'samples' are hashes of (seed, pixel, replicate, sample index).
 
-The scene's name says how it behaves: words among slow, steady (so many samples a second), crash-load, crash-trace, hang,
-rejected, bad-scene, bad-build, bad-device. In the environment FAKE_DEVICES names the devices (commas), FAKE_BROKEN those
-that cannot be opened, FAKE_RATE is the samples a second of a steady scene, FAKE_BIT_CLASS the devices' bit class, and
-FAKE_HABIT what a device does whatever the scene: garbage (wrong sums) or refuse (the driver has no memory).
+The scene's name says how it behaves: words among slow, steady (so many samples a second), compiling (in another process),
+crash-load, crash-trace, hang, rejected, bad-scene, bad-build, bad-device. In the environment FAKE_DEVICES names the
+devices (commas), FAKE_BROKEN those that cannot be opened, FAKE_RATE is the samples a second of a steady scene,
+FAKE_BIT_CLASS the devices' bit class, and FAKE_HABIT what a device does whatever the scene: garbage (wrong sums) or
+refuse (the driver has no memory).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from penumbra_service.engine.device_process import (
 from penumbra_service.engine.protocol import DeviceDescription, RenderSpec
 
 SLOW_SECONDS = 0.05
+COMPILE_SECONDS = 1.0
 HABIT = os.environ.get("FAKE_HABIT", "")
 RATE = float(os.environ.get("FAKE_RATE", "2e6"))
 
@@ -95,7 +97,13 @@ class FakeBackend:
             raise DeviceRefusedError("this device is broken")
         return _describe(device_id)
 
-    def load(self, spec: RenderSpec) -> FakeScene:
+    def __init__(self) -> None:
+        self._ready: dict[str, float] = {}
+
+    def compiled(self, spec: RenderSpec) -> bool:
+        return time.monotonic() >= self._ready.get(spec.key, 0.0)
+
+    def load(self, spec: RenderSpec) -> FakeScene | None:
         scene = Scene.model_validate_json(Path(spec.scene_path).read_bytes())
         if "crash-load" in scene.name:
             print("the driver says goodbye", flush=True)
@@ -104,7 +112,9 @@ class FakeBackend:
             raise SceneError("image textures/wood: is not here; upload it first")
         if "bad-build" in scene.name:
             raise BuildRefusedError("trace.cl:1: error: no")
-        return FakeScene(scene, spec)
+        if "compiling" in scene.name:
+            self._ready.setdefault(spec.key, time.monotonic() + COMPILE_SECONDS)
+        return FakeScene(scene, spec) if self.compiled(spec) else None
 
 
 def _describe(name: str) -> DeviceDescription:

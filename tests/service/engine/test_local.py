@@ -72,15 +72,15 @@ def test_a_process_that_cannot_list_devices_is_no_crash():
 class _Source:
     """Hands out one lease for ever."""
 
-    scene = "s"
     gain = 1.0
 
-    def __init__(self, priority: int, scene: Path) -> None:
+    def __init__(self, priority: int, scene: Path, name: str = "s") -> None:
+        self.scene = name
         self.job = f"j{priority}"
         self.priority = priority
         self.asked = 0
         self.events: list[ToJob] = []
-        self._spec = RenderSpec(str(scene), "h", None, None, 0.0, 2, 0)
+        self._spec = RenderSpec(str(scene), name, None, None, 0.0, 2, 0)
 
     def next_lease(self, device: DeviceDescription) -> Lease | None:
         from penumbra_kernels.nodes import Tile
@@ -118,3 +118,33 @@ def test_the_more_urgent_job_goes_first_and_two_leases_are_in_flight(make_task, 
     told = len(urgent.events)
     time.sleep(0.3)
     assert len(urgent.events) == told
+
+
+def test_while_one_jobs_program_is_compiled_another_jobs_leases_go_on(make_task, fake_engine):  # type: ignore[no-untyped-def]
+    engine = fake_engine()
+    sources = []
+    for priority, name in ((5, "compiling"), (0, "slow")):
+        task = make_task(name=name, folder=name)
+        task.folder.mkdir()
+        path = task.folder / "scene.json"
+        path.write_text(task.scene.model_dump_json())
+        sources.append(_Source(priority, path, name))
+    urgent, calm = sources
+    engine.attach(urgent)
+    engine.attach(calm)
+    end = time.monotonic() + 30
+    while not urgent.events:
+        assert time.monotonic() < end
+        before, asked = len(calm.events), urgent.asked
+        time.sleep(0.002)
+    while len(urgent.events) < 4:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    assert before > 5, "of some 20 leases of 0.05 s, in a second"
+    assert asked <= 2, "more would only wait as well"
+    engine.detach(urgent)
+    engine.detach(calm)
+    while engine.devices()[0].state is not DeviceState.IDLE:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert not engine._slots[0].waiting

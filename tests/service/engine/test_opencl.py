@@ -175,7 +175,9 @@ def test_a_scene_that_cannot_be_prepared_fails_at_once_with_the_reason(engine, t
     rough = {
         f"m{i}": {"type": "conductor", "roughness": 0.2 + i * 1e-4} for i in range(MAX_ALBEDO_TABLES + 1)
     }
-    result = JobRunner(engine, _task(tmp_path / "job", materials={**SCENE["materials"], **rough})).run()
+    shapes = [{"type": "sphere", "material": name} for name in rough]
+    sections = {"materials": {**SCENE["materials"], **rough}, "shapes": [*SCENE["shapes"], *shapes]}
+    result = JobRunner(engine, _task(tmp_path / "job", **sections)).run()
     assert result.failure is not None
     assert result.failure.kind == "scene"
     assert "rough materials" in result.failure.message

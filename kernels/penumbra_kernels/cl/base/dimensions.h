@@ -17,3 +17,10 @@
 #define DIM_BOUNCE(bounce, slot) (((ulong)(bounce) + 1ul) * 16ul + (slot))
 // The same for light `light` where every light is asked.
 #define DIM_LIGHT(bounce, slot, light) (DIM_BOUNCE(bounce, slot) | (((ulong)(light) + 1ul) << 32))
+
+// What a dimension samples, coarsely: a GROUP_* bit.
+static inline uint group_of(const ulong dim) {
+  if (dim < 16ul) return dim == DIM_PIXEL ? GROUP_PIXEL : (dim == DIM_LENS ? GROUP_LENS : GROUP_TIME);
+  const ulong slot = dim & 15ul;
+  return slot == SLOT_LIGHT_SELECT || slot == SLOT_LIGHT || slot == SLOT_LIGHT_TRIANGLE ? GROUP_LIGHTS : GROUP_DIRECTIONS;
+}

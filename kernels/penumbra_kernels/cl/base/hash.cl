@@ -24,3 +24,5 @@ static inline float uniform_of(const uint bits) { return (float)(bits >> 8) * 0x
 
 // Keeps keys of the whole frame apart from those of pixels.
 #define FRAME_SALT 0x9216d5d98979fb1bul
+// Keeps the second stream of a measurement apart from the first.
+#define OTHER_SALT 0x2545f4914f6cdd1dul

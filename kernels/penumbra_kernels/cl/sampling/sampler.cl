@@ -47,6 +47,9 @@ static inline Sampler sampler_start(const __global Params *params, const uint x,
   s.digits = 0u;
   s.stride = 1u;
   s.rank = 0ul;
+#if PENUMBRA_PICK_FREEZE
+  s.other_groups = params->options >> OPTION_OTHER_SHIFT;
+#endif
 #if PENUMBRA_SAMPLER == SAMPLER_REGULAR
   s.stride = params->replicate_count;
   s.strata = params->strata * s.stride;
@@ -76,8 +79,28 @@ static inline void sampler_next_of(Sampler *s, const ulong index, const uint k) 
   s->index = hash_combine(index, k);
 }
 
-static inline float sample_1d(const Sampler *s, const ulong dim) { return DRAW_1D(s, dim, s->index, s->strata); }
-static inline float2 sample_2d(const Sampler *s, const ulong dim) { return DRAW_2D(s, dim, s->index, s->strata); }
+// Measuring what a group of dimensions adds to the noise (sensitivity.py) has some groups draw from a second stream, for which
+// there is room in `other`. Everywhere else this is the sampler itself.
+static inline const Sampler *stream_of(const Sampler *s, const ulong dim, Sampler *other) {
+#if PENUMBRA_PICK_FREEZE
+  if (s->other_groups & group_of(dim)) {
+    *other = *s;
+    other->key = hash_combine(s->key, OTHER_SALT);
+    other->frame_key = hash_combine(s->frame_key, OTHER_SALT);
+    return other;
+  }
+#endif
+  return s;
+}
+
+static inline float sample_1d(const Sampler *s, const ulong dim) {
+  Sampler other;
+  return DRAW_1D(stream_of(s, dim, &other), dim, s->index, s->strata);
+}
+static inline float2 sample_2d(const Sampler *s, const ulong dim) {
+  Sampler other;
+  return DRAW_2D(stream_of(s, dim, &other), dim, s->index, s->strata);
+}
 
 // Planned elements where each sample draws m; saturates, since blocks are cut at MAX_STRATA anyway.
 static inline uint planned(const Sampler *s, const uint m) {
@@ -85,8 +108,10 @@ static inline uint planned(const Sampler *s, const uint m) {
 }
 
 static inline float sample_1d_of(const Sampler *s, const ulong dim, const uint j, const uint m) {
-  return DRAW_1D(s, dim, s->index * m + j, planned(s, m));
+  Sampler other;
+  return DRAW_1D(stream_of(s, dim, &other), dim, s->index * m + j, planned(s, m));
 }
 static inline float2 sample_2d_of(const Sampler *s, const ulong dim, const uint j, const uint m) {
-  return DRAW_2D(s, dim, s->index * m + j, planned(s, m));
+  Sampler other;
+  return DRAW_2D(stream_of(s, dim, &other), dim, s->index * m + j, planned(s, m));
 }

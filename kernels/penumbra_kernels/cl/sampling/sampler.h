@@ -21,4 +21,7 @@ typedef struct {
   uint stride;    // samples of all replicates between two of this one (regular)
   ulong rank;     // the pixel's rank on the Z-curve (blue noise), the replicate (regular)
   ulong frame_key;  // hash of (seed, replicate): the same in every pixel (blue noise)
+#if PENUMBRA_PICK_FREEZE
+  uint other_groups;  // GROUP_* bits that draw from a second, independent stream
+#endif
 } Sampler;

@@ -1,0 +1,68 @@
+"""The compiler's process: what it builds is in the cache, what it cannot build it says, and its death is an answer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from penumbra_kernels.compiler import Built, Compiler, is_cached
+from penumbra_kernels.device import Device
+from penumbra_kernels.features import analyse
+from penumbra_scene.scene import Scene
+
+SCENE: dict[str, Any] = {
+    "version": 1,
+    "camera": {"type": "perspective"},
+    "integrator": {"max_bounces": 0},
+    "shapes": [{"type": "quad"}],
+}
+FLAGS = analyse(Scene.model_validate(SCENE)).flags()
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache."""
+    monkeypatch.setenv("PENUMBRA_CACHE", str(tmp_path))
+    return tmp_path
+
+
+def test_what_another_process_built_need_not_be_built_here(own: Path, device: Device) -> None:
+    compiler = Compiler(device.info.id)
+    try:
+        assert compiler.answer(0.0) is None
+        assert not is_cached(device, FLAGS)
+        compiler.order(FLAGS)
+        compiler.order(FLAGS)
+        assert compiler.answer(0.0) is None
+        first, second = compiler.answer(), compiler.answer()
+    finally:
+        compiler.close()
+    assert first is not None
+    assert second is not None
+    assert (first.built, second.built) == (True, False)
+    assert first.seconds > second.seconds
+    assert first.problem is second.problem is None
+    assert is_cached(device, FLAGS)
+
+
+def test_the_compilers_words_and_its_death_are_answers(own: Path, device: Device) -> None:
+    compiler = Compiler(device.info.id)
+    try:
+        compiler.order({**FLAGS, "PENUMBRA_SAMPLER": 99})
+        answer = compiler.answer()
+        assert answer is not None
+        assert answer.problem is not None
+        assert "DRAW_1D" in answer.problem
+        compiler.order(FLAGS)
+        compiler.order(FLAGS)
+        assert compiler._process is not None
+        compiler._process.kill()
+        assert [compiler.answer(), compiler.answer()] == [Built(0.0, False)] * 2
+        compiler.order(FLAGS)
+        again = compiler.answer()
+        assert again is not None
+        assert json.dumps(again.problem) == "null"
+    finally:
+        compiler.close()

@@ -1,0 +1,68 @@
+"""What effects cost: blocks that cover a window, a whole measurement, and what happens where nothing can be measured."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from penumbra_kernels.device import devices
+from penumbra_kernels.nodes import Tile
+from penumbra_service.engine.measure_process import BLOCK, blocks_of
+from penumbra_service.explain import table
+from penumbra_service.measuring import MeasureError, Request, for_receipt, measure_effects
+
+SCENE: dict[str, Any] = {
+    "version": 1,
+    "camera": {
+        "type": "perspective",
+        "transform": [{"translate": [0, 0.5, 3]}],
+        "lens": {"aperture_radius": 0.05, "focus_distance": 3},
+    },
+    "film": {"width": 64, "height": 64},
+    "integrator": {"max_bounces": 0},
+    "shapes": [{"type": "plane"}, {"type": "sphere", "radius": 0.5}],
+    "lights": [{"type": "point", "position": [2, 3, 2]}],
+}
+
+
+@pytest.mark.parametrize("size", [(64, 64), (640, 8), (9, 200), (5, 3), (1920, 1080)])
+@pytest.mark.parametrize("count", [1, 16, 200])
+def test_blocks_lie_in_the_window_and_nowhere_twice(size: tuple[int, int], count: int) -> None:
+    window = Tile(3, 7, *size)
+    blocks = blocks_of(window, count)
+    assert 1 <= len(blocks) <= count
+    assert len({(b.x, b.y) for b in blocks}) == len(blocks)
+    for b in blocks:
+        assert (b.width, b.height) == (min(BLOCK, size[0]), min(BLOCK, size[1]))
+        assert window.x <= b.x
+        assert b.x + b.width <= window.x + window.width
+        assert window.y <= b.y
+        assert b.y + b.height <= window.y + window.height
+
+
+def test_blocks_spread_over_a_large_window() -> None:
+    blocks = blocks_of(Tile(0, 0, 640, 640), 64)
+    assert {(b.x // 80, b.y // 80) for b in blocks} == {(i, j) for i in range(8) for j in range(8)}
+
+
+@pytest.mark.skipif(not devices(), reason="no OpenCL device")
+def test_a_scenes_effects_are_measured_in_seconds_and_in_noise(tmp_path: Path) -> None:
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(SCENE))
+    measured = measure_effects(Request(str(path), None, None, 0.0, None, 0.5))
+    assert [row.group for row in measured.noise] == ["pixel", "lens", "interactions"]
+    assert sum(row.alone for row in measured.noise) == pytest.approx(1, abs=1e-9)
+    assert [cost.effect for cost in measured.costs] == ["lens", "delta_lights"]
+    assert all(cost.seconds > 0 and cost.seconds_without > 0 for cost in measured.costs)
+    assert "interactions" in table(measured)
+
+
+def test_a_picture_is_not_lost_where_nothing_can_be_measured(tmp_path: Path) -> None:
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    with pytest.raises(MeasureError, match="nonesuch:7"):
+        measure_effects(Request(str(tmp_path / "scene.json"), None, None, 0.0, "nonesuch:7", 1.0))
+    measured, warnings = for_receipt(tmp_path, 0.0, ["nonesuch:7"], tmp_path)
+    assert measured is None
+    assert "nonesuch:7" in warnings[0]
