@@ -13,7 +13,7 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics
+.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -58,6 +58,9 @@ layout: setup ## write kernels/penumbra_kernels/cl/layout.h from layout.py
 
 lock: setup ## pin every package, with hashes (ARGS=--upgrade for newer ones)
 	@./scripts/lock.sh $(ARGS)
+
+farmsim: setup ## simulate a day of 10,000 workers with the service's own planner (some minutes of one core)
+	@$(BIN)/python bench/farm_simulation.py $(ARGS)
 
 pictures: setup ## render every example into docs/pictures
 	@$(BIN)/python scripts/pictures.py $(ARGS)

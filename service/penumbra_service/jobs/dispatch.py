@@ -20,7 +20,7 @@ IN_FLIGHT: Final = 2
 """Leases that a device holds: with one it idles while the answer travels."""
 SCENES_KEPT: Final = 4
 """Loaded scenes that a device process keeps; the least recently used one goes first."""
-AFFINITY: Final = 2.0
+AFFINITY: Final = 4.0
 """A job whose scene is loaded counts as if its error fell so many times as fast."""
 LEAST_SECONDS: Final = 0.1
 """Device-seconds that every job counts as having had: what it gains at its start stays finite."""

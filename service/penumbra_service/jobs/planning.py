@@ -25,11 +25,20 @@ FIRST_LEASE_SAMPLES: Final = 1 << 17
 MAX_GROWTH: Final = 8
 """A lease holds at most so many times the samples of the device's largest before: first rates are poor
 guesses."""
+LEASES_PER_SECOND: Final = 50
+"""That one service hands out and takes in: a farm of more devices gets longer leases."""
+LEAST_SHARE: Final = 1 / 32
+"""Of the longer leases of a large farm: however many devices share the last work, none gets less."""
 MAX_LEASE_BYTES: Final = 32 * 1024 * 1024
 """Of sum nodes in an answer."""
 MAX_LEASE_ITEMS: Final = 256
 RATE_WEIGHT: Final = 0.5
 """Of the newest measurement in a device's running rate."""
+
+
+def lease_seconds(devices: int) -> float:
+    """What a lease should take where so many devices work."""
+    return max(LEASE_SECONDS, devices / LEASES_PER_SECOND)
 
 
 @dataclass(frozen=True)
@@ -191,10 +200,14 @@ class LeasePlanner:
     def _budget(self, device: str) -> int:
         rate = self._rates.get(device, _Rate())
         most = rate.largest * MAX_GROWTH
+        least = FIRST_LEASE_SAMPLES // MAX_GROWTH
         if rate.samples_per_second is not None:
-            most = min(most, int(rate.samples_per_second * LEASE_SECONDS))
+            seconds = lease_seconds(self.devices)
+            most = min(most, int(rate.samples_per_second * seconds))
+            longer = rate.samples_per_second * (seconds - LEASE_SECONDS)
+            least = max(least, min(most, int(longer * LEAST_SHARE)))
         share = self.ready_samples // (2 * max(self.devices, 1))
-        return max(min(most, share), FIRST_LEASE_SAMPLES // MAX_GROWTH)
+        return max(min(most, share), least)
 
     def _pop(self) -> WorkItem:
         item = self._ready.popleft()

@@ -1,0 +1,319 @@
+"""A day of a large farm, simulated: `python bench/farm_simulation.py [--workers 10000] [--hours 24]`.
+
+It drives the planner of the service itself (jobs.dispatch, jobs.planning) with workers of uneven speed that die and come
+back, jobs that arrive at random, and an urgent job every hour; only devices, network and time are made up. It prints what
+of the workers' time was used, what was done again after deaths, and how long urgent jobs took against the time that all
+living workers together need for them.
+
+Assumptions: speeds are lognormal (sigma 0.6, mean 8 million pixel samples a second); a worker lives 6 h on average,
+is missed after 10 s and replaced after 5 min on average (all exponential); a scene takes 10 s to load; 50 ms pass between an
+answer and the next lease; 8 jobs share the farm, the others wait. Tiles cost up to twice as much as others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import itertools
+import math
+import random
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from penumbra_kernels.nodes import Tile
+from penumbra_service.jobs.dispatch import IN_FLIGHT, SCENES_KEPT, Dispatcher, gain_of
+from penumbra_service.jobs.planning import LeasePlanner, PlannedLease, WorkItem, lease_seconds
+
+SPEED: Final = 8e6
+SPREAD: Final = 0.6
+LIFE_SECONDS: Final = 6 * 3600.0
+MISSED_SECONDS: Final = 10.0
+AWAY_SECONDS: Final = 300.0
+LOAD_SECONDS: Final = 10.0
+TURN_SECONDS: Final = 0.05
+AT_ONCE: Final = 8
+URGENT_EVERY: Final = 3600.0
+REPLICATES: Final = 8
+SIDE: Final = 256
+JOB_SHARE: Final = 1 / 48
+"""Of the farm's day that a job takes on average."""
+URGENT_SHARE: Final = 1 / 1440
+LOAD_FACTOR: Final = 1.2
+"""Work that arrives over work that can be done: the queue never runs dry."""
+
+
+@dataclass(eq=False)
+class Job:
+    """Implements jobs.dispatch.Bidder. Work is in pixel samples, all replicates together."""
+
+    job: str
+    priority: int
+    arrived: float
+    planner: LeasePlanner
+    total: int
+    left: int
+    device_seconds: float = 0.0
+    first_lease: float | None = None
+    finished: float | None = None
+
+    @property
+    def scene(self) -> str:
+        return self.job
+
+    @property
+    def gain(self) -> float:
+        done = self.total - self.left
+        relmse = SIDE * SIDE / done if done else math.nan  # falls as 1/n from any constant
+        return gain_of(relmse, 1.0, self.device_seconds)
+
+
+@dataclass(eq=False)
+class Worker:
+    """A device: leases in order, of which it works on the first."""
+
+    name: str
+    speed: float
+    born: float = 0.0
+    alive: bool = True
+    life: int = 0
+    """Counts its lives: events of an earlier one are void."""
+    held: deque[tuple[Job, PlannedLease, float]] = field(default_factory=deque)
+    """With the seconds that each traces."""
+    scenes: deque[str] = field(default_factory=lambda: deque(maxlen=SCENES_KEPT))
+    began: float = 0.0
+    """When it turned to its present lease."""
+    loading: float = 0.0
+    """Seconds that the lease's scene takes to load."""
+
+
+@dataclass
+class Account:
+    """Worker-seconds, but for the counts."""
+
+    alive: float = 0.0
+    traced: float = 0.0
+    loaded: float = 0.0
+    wasted: float = 0.0
+    """Of leases that died with their worker."""
+    leases: int = 0
+    redone: int = 0
+    deaths: int = 0
+
+
+class Farm:
+    """One simulation. Call `run` once."""
+
+    def __init__(self, workers: int, hours: float, seed: int = 1) -> None:
+        self.end = hours * 3600.0
+        self.account = Account()
+        self.finished: list[Job] = []
+        self._random = random.Random(seed)
+        self._dispatcher: Dispatcher[Job] = Dispatcher()
+        self._waiting: list[tuple[int, float, int, Job]] = []
+        self._running: list[Job] = []
+        self._events: list[tuple[float, int, str, object, int]] = []
+        self._order = itertools.count()
+        self._starving: dict[Worker, None] = {}
+        mean = math.exp(SPREAD**2 / 2)
+        self.workers = [
+            Worker(f"w{n}", SPEED * math.exp(self._random.gauss(0, SPREAD)) / mean) for n in range(workers)
+        ]
+        self.capacity = sum(worker.speed for worker in self.workers)
+        self._numbers = itertools.count()
+
+    def run(self) -> None:
+        """Until the end of the day."""
+        for worker in self.workers:
+            self._at(self._random.expovariate(1 / LIFE_SECONDS), "dies", worker, 0)
+            self._at(0.0, "asks", worker, 0)
+        for moment in self._arrivals():
+            self._at(moment, "arrives", 0)
+        for moment in _every(URGENT_EVERY, self.end):
+            self._at(moment, "arrives", 1)
+        handlers = {
+            "asks": self._asks, "answers": self._answers, "dies": self._dies, "missed": self._missed,
+            "returns": self._returns, "arrives": self._arrives,
+        }  # fmt: skip
+        while self._events and self._events[0][0] <= self.end:
+            now, _, kind, subject, life = heapq.heappop(self._events)
+            handlers[kind](now, subject, life)  # type: ignore[operator]
+        for worker in self.workers:
+            if worker.alive:
+                self.account.alive += self.end - worker.born
+
+    def _at(self, moment: float, kind: str, subject: object, life: int = 0) -> None:
+        heapq.heappush(self._events, (moment, next(self._order), kind, subject, life))
+
+    def _arrivals(self) -> Iterator[float]:
+        gap = JOB_SHARE * 86400 / LOAD_FACTOR
+        moment = 0.0
+        for _ in range(AT_ONCE):
+            yield 0.0
+        while (moment := moment + self._random.expovariate(1 / gap)) < self.end:
+            yield moment
+
+    def _arrives(self, now: float, priority: object, _life: int) -> None:
+        share = URGENT_SHARE if priority else JOB_SHARE * self._random.uniform(0.3, 1.7)
+        tiles = max(round(self.capacity * 86400 * share / (REPLICATES * SIDE * SIDE * 1024)), 1)
+        planner = LeasePlanner(REPLICATES, len(self.workers))
+        planner.add(WorkItem(Tile(n * SIDE, 0, SIDE, SIDE), 0, 1024) for n in range(tiles))
+        total = planner.ready_samples
+        job = Job(f"job {next(self._numbers)}", int(bool(priority)), now, planner, total, total)
+        heapq.heappush(self._waiting, (-job.priority, now, next(self._order), job))
+        self._admit(now)
+
+    def _admit(self, now: float) -> None:
+        """Jobs begin in the order of the queue; an urgent one makes the least urgent wait (its leases run out)."""
+        while self._waiting and (len(self._running) < AT_ONCE or -self._waiting[0][0] > 0):
+            *_, job = heapq.heappop(self._waiting)
+            self._running.append(job)
+            self._dispatcher.attach(job)
+        for worker in list(self._starving):
+            self._feed(now, worker)
+
+    def _asks(self, now: float, subject: object, life: int) -> None:
+        assert isinstance(subject, Worker)
+        if subject.life == life and subject.alive:
+            self._feed(now, subject)
+
+    def _feed(self, now: float, worker: Worker) -> None:
+        """Fill its places."""
+        self._starving.pop(worker, None)
+        while len(worker.held) < IN_FLIGHT:
+            if not self._feed_one(now, worker):
+                self._starving[worker] = None
+                return
+
+    def _feed_one(self, now: float, worker: Worker) -> bool:
+        for job in self._dispatcher.order(worker.name):
+            lease = job.planner.take(worker.name)
+            if lease is None:
+                continue
+            self._dispatcher.gave(worker.name, job)
+            self.account.leases += 1
+            self.account.redone += lease.attempt > 1
+            job.first_lease = now if job.first_lease is None else job.first_lease
+            cost = 0.67 + 0.66 * (lease.items[0].tile.x * 0.618 / SIDE % 1.0)
+            worker.held.append((job, lease, lease.samples * cost / worker.speed))
+            if len(worker.held) == 1:
+                self._begin(now, worker)
+            return True
+        return False
+
+    def _begin(self, now: float, worker: Worker) -> None:
+        job, _, seconds = worker.held[0]
+        worker.loading = LOAD_SECONDS
+        if job.scene in worker.scenes:
+            worker.scenes.remove(job.scene)
+            worker.loading = 0.0
+        worker.scenes.append(job.scene)
+        worker.began = now
+        self._at(now + worker.loading + seconds, "answers", worker, worker.life)
+
+    def _answers(self, now: float, subject: object, life: int) -> None:
+        worker = subject
+        assert isinstance(worker, Worker)
+        if worker.life != life:
+            return
+        job, lease, seconds = worker.held.popleft()
+        self.account.traced += seconds
+        self.account.loaded += worker.loading
+        job.planner.done(lease.number, worker.name, seconds)
+        job.device_seconds += seconds
+        job.left -= lease.samples
+        if worker.held:
+            self._begin(now, worker)
+        if job.left == 0:
+            self._end(now, job)
+        self._at(now + TURN_SECONDS, "asks", worker, life)
+
+    def _end(self, now: float, job: Job) -> None:
+        job.finished = now
+        self.finished.append(job)
+        self._running.remove(job)
+        self._dispatcher.detach(job)
+        self._admit(now)
+
+    def _dies(self, now: float, subject: object, _life: int) -> None:
+        worker = subject
+        assert isinstance(worker, Worker)
+        self.account.deaths += 1
+        self.account.alive += now - worker.born
+        worker.alive = False
+        worker.life += 1
+        if worker.held:
+            self.account.wasted += now - worker.began
+        self._starving.pop(worker, None)
+        self._at(now + MISSED_SECONDS, "missed", worker)
+        self._at(now + MISSED_SECONDS + self._random.expovariate(1 / AWAY_SECONDS), "returns", worker)
+
+    def _missed(self, now: float, subject: object, _life: int) -> None:
+        """Its leases are issued again."""
+        worker = subject
+        assert isinstance(worker, Worker)
+        for job, lease, _ in worker.held:
+            job.planner.lost(lease.number)
+        worker.held.clear()
+        worker.scenes.clear()
+        self._dispatcher.forget(worker.name)
+        for other in list(self._starving):
+            self._feed(now, other)
+
+    def _returns(self, now: float, subject: object, _life: int) -> None:
+        worker = subject
+        assert isinstance(worker, Worker)
+        worker.alive, worker.born = True, now
+        self._at(now + self._random.expovariate(1 / LIFE_SECONDS), "dies", worker)
+        self._feed(now, worker)
+
+
+def _every(step: float, end: float) -> Iterator[float]:
+    moment = step / 2
+    while moment < end:
+        yield moment
+        moment += step
+
+
+def report(farm: Farm) -> str:
+    """What came of it, in lines."""
+    account = farm.account
+    urgent = [job for job in farm.finished if job.priority]
+    ideal = [job.total / farm.capacity for job in urgent]
+    latency = sorted(job.finished - job.arrived for job in urgent if job.finished is not None)
+    first = sorted(job.first_lease - job.arrived for job in urgent if job.first_lease is not None)
+    median = latency[len(latency) // 2] if latency else math.nan
+    longest = latency[-1] if latency else math.nan
+    workers = len(farm.workers)
+    lines = [
+        f"{workers} workers, {farm.end / 3600:g} h: {account.leases} leases of about {lease_seconds(workers):g} s, "
+        f"{account.deaths} deaths",
+        f"utilisation {account.traced / account.alive:.2%} of the living workers' time traced what counts, "
+        f"{account.loaded / account.alive:.2%} loaded scenes",
+        f"redone {account.redone} leases; {account.wasted / account.alive:.3%} of the time died with its worker",
+        f"jobs done {len(farm.finished)}, of which urgent {len(urgent)}",
+        f"urgent jobs: first lease after {first[-1] if first else math.nan:.2f} s at most; done after {median:.0f} s "
+        f"(median), {longest:.0f} s (longest); all workers together need {sum(ideal) / max(len(ideal), 1):.0f} s",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--workers", type=int, default=10_000)
+    parser.add_argument("--hours", type=float, default=24.0)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    began = time.process_time()
+    farm = Farm(options.workers, options.hours, options.seed)
+    farm.run()
+    print(report(farm))
+    print(f"simulated in {time.process_time() - began:.0f} s of one core")
+
+
+if __name__ == "__main__":
+    main()
