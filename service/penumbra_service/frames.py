@@ -15,9 +15,10 @@ from penumbra_scene.job import JobRequest
 
 from penumbra_service.film.film import MEMORY_LIMIT
 from penumbra_service.images.contact_sheet import cell_picture, chosen_frames, contact_sheet
+from penumbra_service.images.movie import write_movie
 from penumbra_service.images.png import read_png, write_png
 from penumbra_service.picture import Picture, PictureRunner
-from penumbra_service.results import CONTACT_SHEET, THUMBNAIL, frame_folder
+from penumbra_service.results import CONTACT_SHEET, MOVIE, THUMBNAIL, frame_folder
 from penumbra_service.running import FrameBook, Outcome
 from penumbra_service.sequence import FrameSequence, FrameTask
 
@@ -74,6 +75,15 @@ class ContactSheet:
         return True
 
 
+def _make_movie(folder: Path, request: JobRequest) -> None:
+    """Of the frames that are done. That there is none harms no frame."""
+    files = [thumbnail_file(folder, frame) for frame in request.sequence]
+    try:
+        write_movie(folder / MOVIE, (read_png(file) for file in files if file.is_file()), request.fps)
+    except OSError:
+        log.warning("no movie can be written to %s", folder, exc_info=True)
+
+
 def thumbnail_file(folder: Path, frame: int) -> Path:
     """Where a finished frame's thumbnail waits for sheet and movie."""
     return folder / THUMBNAILS / f"{frame:04d}.png"
@@ -117,4 +127,5 @@ def run_frames(
     outcome = sequence.run()
     if outcome.final:
         sheet.finish()
+        _make_movie(whole.folder, request)
     return outcome

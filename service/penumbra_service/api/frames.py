@@ -12,7 +12,8 @@ from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api.jobs import service_of
 from penumbra_service.api.results import answer
-from penumbra_service.results import CONTACT_SHEET, HEATMAP, RECEIPT, RESULT, THUMBNAIL, frame_folder
+from penumbra_service.images.movie import movie_program
+from penumbra_service.results import CONTACT_SHEET, HEATMAP, MOVIE, RECEIPT, RESULT, THUMBNAIL, frame_folder
 from penumbra_service.service import RenderService
 from penumbra_service.status import frame_numbers, frame_status
 from penumbra_service.store.frames import FrameRow
@@ -110,8 +111,17 @@ async def contact_sheet(request: Request, job_id: str) -> Response:
     return await run_in_threadpool(_answer_whole, request, job_id, CONTACT_SHEET)
 
 
+@router.get("/preview.mp4", response_class=FileResponse, responses=_MISSING)
+@router.head("/preview.mp4", include_in_schema=False)
+async def movie(request: Request, job_id: str) -> Response:
+    """The frames of a job as a movie, once the job has ended, where the service has ffmpeg."""
+    return await run_in_threadpool(_answer_whole, request, job_id, MOVIE)
+
+
 def _answer_whole(request: Request, job_id: str, name: str) -> Response:
     service = service_of(request)
     job = service.jobs.get(job_id)
     why = f"it is {job.state}" if frame_numbers(job) else "it makes a single picture"
+    if name == MOVIE and frame_numbers(job) and movie_program() is None:
+        why = "the service finds no ffmpeg to make one"
     return answer(request, service, job_id, name, f"job {job_id} has no {name}: {why}")

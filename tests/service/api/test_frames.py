@@ -19,6 +19,7 @@ from penumbra_scene.job import FramePage, FrameStatus, JobStatus
 from penumbra_scene.receipt import Receipt
 from penumbra_service.app import create_app
 from penumbra_service.engine.local import LocalEngine
+from penumbra_service.images.movie import movie_program
 from penumbra_service.images.png import read_png
 from penumbra_service.local_runner import LocalRunner
 from penumbra_service.settings import Settings
@@ -124,6 +125,12 @@ def test_frames_appear_as_they_finish_and_equal_single_ones(
     sheet.write_bytes(farm.client.get(job.links.contact_sheet).raise_for_status().content)
     assert np.ptp(read_png(sheet)) > 0
     assert farm.client.get(job.links.thumbnail).status_code == 200
+    assert job.links.movie is not None
+    film = farm.client.get(job.links.movie)
+    if movie_program() is None:
+        assert (film.status_code, "no ffmpeg" in film.json()["detail"]) == (404, True)
+    else:
+        assert film.headers["content-type"] == "video/mp4"
     page = farm.client.get(job.links.page).text
     assert 'id="frame-8"' in page
     assert job.links.contact_sheet in page
