@@ -13,7 +13,7 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim
+.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim faults soak farm
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -68,8 +68,18 @@ pictures: setup ## render every example into docs/pictures
 lights: setup ## measure how lights are chosen, and write docs/lights.md
 	@$(BIN)/python bench/lights.py $(ARGS)
 
+faults: setup ## kill and stop the processes of a farm while it renders; the picture must have the same bits
+	@PENUMBRA_FAULTS=all $(BIN)/python -m pytest tests/faults tests/service/test_dropped_connections.py $(ARGS)
+
+soak: setup ## 200 random kills on a farm, nothing lost: some ten minutes (KILLS=n)
+	@PENUMBRA_SOAK_KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_soak.py -s $(ARGS)
+
+farm: setup ## measure what a farm costs against the local engine, on this machine
+	@$(BIN)/python bench/farm.py $(ARGS)
+
 compose-secrets: setup ## make keys and certificates for docker-compose.yml, in secrets/
 	@./scripts/compose-secrets.sh
+
 accuracy: setup ## measure what accuracy costs on the examples, and write docs/accuracy.md
 	@$(BIN)/python scripts/accuracy.py $(ARGS)
 

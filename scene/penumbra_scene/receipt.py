@@ -213,6 +213,8 @@ class Receipt(Model):
     plan: tuple[PlanStep, ...] = ()
     redone_leases: Count = 0
     """Work that had to be done again, after crashes and restarts."""
+    resumed: Count = 0
+    """Times that it went on from a snapshot, after a pause, a restart or a full disk: what was newer was done again."""
     checked_leases: Count = 0
     """Done by two devices, whose sums agreed or a third decided."""
     warnings: tuple[str, ...] = ()

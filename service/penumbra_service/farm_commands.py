@@ -37,6 +37,11 @@ def _configure_worker(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name", default="", help="what the devices' names end with (default: host and process)"
     )
+    parser.add_argument(
+        "--selftest",
+        action="store_true",
+        help="run the hard cases on each device first; one that fails does not join",
+    )
     parser.add_argument("--host", help="address at which others reach this machine (default: found out)")
     parser.add_argument(
         "--port",
@@ -88,7 +93,7 @@ def _add_tls(parser: argparse.ArgumentParser) -> None:
 
 def _worker(arguments: argparse.Namespace) -> int:
     try:
-        from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
+        from penumbra_service.engine.dask.supervisor import SELFTEST, WorkerOptions, supervise
     except ImportError as error:
         raise CommandError(_MISSING.format(error)) from error
     from penumbra_service.engine.local import NoDeviceError
@@ -106,6 +111,7 @@ def _worker(arguments: argparse.Namespace) -> int:
         arguments.status_port,
         contents_url(arguments.artifacts) if arguments.artifacts else None,
         cache_bytes=int(arguments.cache_gigabytes * 1e9),
+        selftest=SELFTEST if arguments.selftest else (),
         **more,
     )
     try:

@@ -26,6 +26,7 @@ from penumbra_service.frame_book import ServiceFrameBook
 from penumbra_service.running import Control, Halt, Outcome, Runner, Task
 from penumbra_service.settings import Settings
 from penumbra_service.store.artifacts import Artifacts
+from penumbra_service.store.database import is_passing
 from penumbra_service.store.frames import FrameStore
 from penumbra_service.store.ids import new_id
 from penumbra_service.store.jobs import JobRow, JobStore, NoSuchJobError
@@ -178,9 +179,13 @@ class JobQueue:
         with structlog.contextvars.bound_contextvars(job=row.id):
             try:
                 self._run(held)
-            except Exception:
-                log.exception("job %s: the service failed", row.id)
-                self._try_to_end(held)
+            except Exception as error:
+                if is_passing(error):
+                    log.warning("job %s: the ledger cannot be reached; it goes on later: %s", row.id, error)
+                    self._abandon(held)
+                else:
+                    log.exception("job %s: the service failed", row.id)
+                    self._try_to_end(held)
             finally:
                 with self._wake:
                     self._held.pop(row.id, None)
@@ -282,8 +287,8 @@ class JobQueue:
             row.created,
             row.started or row.created,
             held.control,
-            report=lambda state, news: self._report(held, state, news),
-            show=lambda: self._show(held),
+            report=lambda state, news: _gently(lambda: self._report(held, state, news)),
+            show=lambda: _gently(lambda: self._show(held)),
             frames=ServiceFrameBook(
                 row.id, folder, self._frames, self._artifacts, show_job=lambda: self._show(held)
             ),
@@ -362,3 +367,13 @@ def _internal_problem() -> Problem:
         500,
         "an error of the service itself ended the job; its log says more",
     )
+
+
+def _gently(tell: Callable[[], None]) -> None:
+    """News for the ledger: where it cannot be reached just now, the next will do."""
+    try:
+        tell()
+    except Exception as error:
+        if not is_passing(error):
+            raise
+        log.warning("the ledger cannot be reached: %s", error)

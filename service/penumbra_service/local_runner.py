@@ -48,6 +48,7 @@ class LocalRunner:
             self._assets,
             decode=self._decode,
             verify=settings.verify_share,
+            patient=True,
         )
 
     def start(self) -> None:

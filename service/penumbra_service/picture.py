@@ -19,6 +19,7 @@ from penumbra_service.engine.runner import Failure, Halt, JobRunner, RenderTask,
 from penumbra_service.engine.task import VERIFY_SHARE
 from penumbra_service.film.film import MEMORY_LIMIT
 from penumbra_service.film.preview import PreviewImage
+from penumbra_service.film.replicates import Layout
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.receipt import ReceiptContext
 from penumbra_service.measuring import for_receipt
@@ -62,6 +63,8 @@ class Picture:
     """Only devices of one bit class."""
     measure_effects: bool = False
     """Say in the receipt what each effect cost."""
+    layout: Layout | None = None
+    """Of replicates and samples; None: as sampler and stop rule have it."""
 
 
 class PictureRunner:
@@ -74,12 +77,16 @@ class PictureRunner:
         scene_folder: Path | None = None,
         decode: DecodeLimits = DEFAULTS,
         verify: float = VERIFY_SHARE,
+        *,
+        patient: bool = False,
     ) -> None:
+        """`patient`: a full disk is waited for."""
         self._engine = engine
         self._assets = assets_folder
         self._scene_folder = scene_folder
         self._decode = decode
         self._verify = verify
+        self._patient = patient
 
     def run(self, picture: Picture) -> Outcome:
         """Blocks until the picture is there or cannot be had, or `picture.control` asked for a stop."""
@@ -98,7 +105,9 @@ class PictureRunner:
                 memory_limit=picture.memory_limit,
                 decode=self._decode,
                 strict=picture.strict,
+                layout=picture.layout,
                 verify=self._verify,
+                wait_for_room=self._patient,
             ),
             on_progress=self._reporter(picture),
             on_preview=_shower(picture, latest),

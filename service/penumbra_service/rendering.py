@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,12 +22,15 @@ from penumbra_scene.job import (
 )
 from penumbra_scene.quote import Quote
 from penumbra_scene.receipt import Receipt
+from penumbra_scene.scene import Scene
+from penumbra_scene.settings import Stop
 
 from penumbra_service.commands import CommandError
 from penumbra_service.engine.launch import Child, ids_of
 from penumbra_service.engine.local import LocalEngine, NoDeviceError, list_devices
 from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.status import device_status
+from penumbra_service.film.replicates import choose_layout
 from penumbra_service.frames import run_frames
 from penumbra_service.picture import Picture, PictureRunner
 from penumbra_service.quoting import make_quote
@@ -104,6 +108,30 @@ def render_on(
     _raise_problem(outcome)
     assert outcome.receipt is not None
     return outcome.receipt
+
+
+def render_plan(scene: Scene, end: int, time: float, folder: Path, out: Path, devices: str) -> Receipt:
+    """Render exactly `end` samples a replicate, laid out as the scene's own stop rule would have them.
+
+    Raises CommandError, OSError.
+    """
+    layout = choose_layout(scene.sampler, scene.stop)
+    samples = end * layout.replicates
+    exact = scene.model_copy(update={"stop": Stop(samples=samples)})
+    with (
+        tempfile.TemporaryDirectory(prefix=".penumbra-", dir=out) as work,
+        local_engine(devices) as engine,
+    ):
+        picture = replace(
+            _picture(JobRequest(scene=exact), Path(work), lambda event: None),
+            layout=replace(layout, samples=samples),
+            time=time,
+        )
+        outcome = _pictures(engine, folder).run(picture)
+        _raise_problem(outcome)
+        assert outcome.receipt is not None
+        _move(Path(work), out, ALL)
+        return outcome.receipt
 
 
 def quote(request: JobRequest, folder: Path, devices: str) -> Quote:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
+import OpenImageIO
 import pytest
 from penumbra_scene.job import JobState, Progress
 from penumbra_scene.scene import Scene
@@ -42,6 +46,14 @@ def free_port() -> int:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         return int(taken.getsockname()[1])
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """`make faults` runs all; the suite leaves out what takes long."""
+    if os.environ.get("PENUMBRA_FAULTS") != "all":
+        for item in items:
+            if item.get_closest_marker("thorough"):
+                item.add_marker(pytest.mark.skip(reason="thorough: make faults"))
 
 
 class Farm:
@@ -98,6 +110,14 @@ class Farm:
         """The Dask worker's process, a child of the one that keeps it up."""
         return children(self.processes[name].pid)[0]
 
+    @staticmethod
+    def process_runs(pid: int, what: str) -> bool:
+        """Whether the process is there and its command line names this."""
+        try:
+            return what in Path(f"/proc/{pid}/cmdline").read_text()
+        except OSError:
+            return False
+
     def kill(self, name: str) -> None:
         """SIGKILL to the process that was started under this name, and with it to all below it."""
         process = self.processes.pop(name)
@@ -129,7 +149,7 @@ def children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def farm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Farm]:
     """A scheduler and two workers, one and two."""
     farm = Farm(tmp_path_factory.mktemp("farm"))
@@ -151,7 +171,7 @@ def _task(parent: Path, name: str, folder: str, **sections: Any) -> RenderTask:
         "stop": {"samples": 512},
         **sections,
     }
-    return RenderTask(folder, Scene.model_validate(scene), parent / folder)
+    return RenderTask(uuid.uuid4().hex, Scene.model_validate(scene), parent / folder)
 
 
 @pytest.fixture
@@ -178,10 +198,103 @@ def picture() -> Callable[[RunResult], dict[str, bytes]]:
     return _picture
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+@pytest.fixture(scope="session")
+def local_run() -> Iterator[Callable[[RenderTask], RunResult]]:
+    """local_run(task): on this machine's engine, undisturbed."""
+    with LocalEngine(command=(sys.executable, str(FAKE))) as engine:
+        yield lambda task: JobRunner(engine, task).run()
+
+
+@pytest.fixture(scope="session")
+def undisturbed(local_run: Any, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What the job of make_task("steady") gives on this machine alone."""
-    command = (sys.executable, str(FAKE))
-    with LocalEngine(command=command) as engine:
-        result = JobRunner(engine, _task(tmp_path_factory.mktemp("undisturbed"), "plain", "job")).run()
-    return _picture(result)
+    return _picture(local_run(_task(tmp_path_factory.mktemp("undisturbed"), "plain", "job")))
+
+
+class Service:
+    """`python -m penumbra_service` on a farm."""
+
+    def __init__(self, folder: Path, scheduler: str, database: str = "") -> None:
+        self._environment = {
+            **os.environ,
+            "PENUMBRA_DATA": str(folder),
+            "PENUMBRA_PORT": "0",
+            "PENUMBRA_SCHEDULER": scheduler,
+            "PENUMBRA_DATABASE_URL": database,
+        }
+        self.process: subprocess.Popen[str] | None = None
+        self._url = ""
+
+    def start(self) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "penumbra_service"],
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            found = re.search(r"listens on (\S+)", line)
+            if found:
+                self._url = found.group(1)
+                return
+        raise AssertionError("the service did not start")
+
+    def kill(self) -> None:
+        assert self.process is not None
+        os.kill(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self) -> None:
+        if self.process is not None and self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(60)
+
+    def get(self, path: str) -> httpx.Response:
+        answer = httpx.get(self._url + path, timeout=60)
+        answer.raise_for_status()
+        return answer
+
+    def submit(self, document: dict[str, Any]) -> str:
+        answer = httpx.post(self._url + "/v1/jobs", json=document, timeout=60)
+        answer.raise_for_status()
+        return str(answer.json()["id"])
+
+    def wait(self, job: str, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        end = time.monotonic() + 120
+        while True:
+            status: dict[str, Any] = self.get(f"/v1/jobs/{job}").json()
+            if holds(status):
+                return status
+            assert status["state"] not in ("failed", "cancelled"), status["problem"]
+            assert time.monotonic() < end
+            time.sleep(0.1)
+
+
+@pytest.fixture
+def service(farm: Any, tmp_path: Path) -> Iterator[Service]:
+    service = Service(tmp_path / "data", farm.address)
+    yield service
+    service.stop()
+
+
+def _channels(data: bytes, folder: Path) -> dict[str, bytes]:
+    path = folder / "result.exr"
+    path.write_bytes(data)
+    channels = {}
+    file = OpenImageIO.ImageInput.open(str(path))
+    part = 0
+    while file.seek_subimage(part, 0):
+        spec = file.spec()
+        pixels = file.read_image(part, 0, 0, spec.nchannels, OpenImageIO.UNKNOWN)
+        channels |= {name: pixels[..., i].tobytes() for i, name in enumerate(spec.channelnames)}
+        part += 1
+    file.close()
+    return channels
+
+
+@pytest.fixture(scope="session")
+def channels() -> Callable[[bytes, Path], dict[str, bytes]]:
+    """channels(exr, folder): every channel of an EXR file's bytes, by name; `folder` is written to."""
+    return _channels

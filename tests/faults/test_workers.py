@@ -37,6 +37,7 @@ def test_a_killed_worker_costs_at_most_two_leases(farm, make_task, picture, undi
     assert farm.worker_pid("one") != pid
 
 
+@pytest.mark.thorough
 def test_a_worker_that_hangs_is_found_out_and_comes_back(farm, make_task, picture, undisturbed):  # type: ignore[no-untyped-def]
     pid = farm.worker_pid("two")
     result = farm.run(make_task(), lambda: os.kill(pid, signal.SIGSTOP))
@@ -47,6 +48,7 @@ def test_a_worker_that_hangs_is_found_out_and_comes_back(farm, make_task, pictur
     farm.wait_for("two")
 
 
+@pytest.mark.thorough
 def test_a_worker_that_joins_late_gets_work(farm, make_task, picture, undisturbed):  # type: ignore[no-untyped-def]
     farm.kill("two")
     farm.wait_until(lambda: "two" not in farm.up(), "the worker has left")
@@ -72,6 +74,7 @@ def test_a_worker_that_returns_garbage_is_found_out_and_its_work_is_done_again( 
     assert result.record.checked_leases > 0
 
 
+@pytest.mark.thorough
 def test_two_that_contradict_each_other_fail_the_job_for_want_of_a_third(farm, make_task):  # type: ignore[no-untyped-def]
     farm.add_worker("odd", FAKE_BIT_CLASS="odd|1.0")
     farm.add_worker("liar", FAKE_HABIT="garbage", FAKE_BIT_CLASS="odd|1.0")
@@ -98,6 +101,7 @@ def test_a_device_that_fails_three_times_is_blocked_for_the_job(farm, make_task,
     assert result.record.redone_leases >= 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("strict", [False, True])
 def test_a_strict_job_stays_within_one_bit_class_and_others_say_that_they_are_mixed(farm, make_task, strict):  # type: ignore[no-untyped-def]
     farm.add_worker("odd", FAKE_BIT_CLASS="odd|1.0")

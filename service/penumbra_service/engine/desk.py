@@ -147,6 +147,7 @@ class LeaseDesk:
         with self._lock:
             self._planner.drop()
             self._numbers.clear()
+            self._busy(False)
             self._asked = True
 
     def keep_to(self, bit_class: str) -> None:

@@ -7,6 +7,7 @@ called from anywhere. Callbacks come on the thread of `run`.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import queue
@@ -36,7 +37,7 @@ from penumbra_service.engine.protocol import (
     SceneLoaded,
     ToJob,
 )
-from penumbra_service.engine.snapshot import Snapshot, kernel_hash
+from penumbra_service.engine.snapshot import Snapshot, is_full, kernel_hash
 from penumbra_service.engine.stages import PILOT_SHARE, Stages
 from penumbra_service.engine.task import Failure, Halt, RenderTask, RunFailedError, RunResult
 from penumbra_service.engine.trust import Trust
@@ -65,6 +66,8 @@ SNAPSHOT_SHARE: Final = 20.0
 """A snapshot that took s seconds is followed by no other for 20 s of them: at most 5 % of the time goes
 there."""
 TICK_SECONDS: Final = 0.25
+SPACE_SECONDS: Final = 5.0
+"""Wait before a disk that was full is tried again."""
 TILE_SIZE: Final = 64
 LARGE_TILE_SIZE: Final = 128
 GPU_TILE_SIZE: Final = 256
@@ -91,7 +94,7 @@ class JobRunner:
         self._priority = task.priority
         self._on_progress = on_progress
         self._on_preview = on_preview
-        self._layout = choose_layout(task.scene.sampler, task.scene.stop)
+        self._layout = task.layout or choose_layout(task.scene.sampler, task.scene.stop)
         window = task.scene.film.window
         self._window = Tile(window.x, window.y, window.width, window.height)
         self._pixels = window.width * window.height
@@ -107,6 +110,8 @@ class JobRunner:
         self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
         self._reason: str | None = None
+        self._full_before: RunRecord | None = None
+        """What was known when the disk was full."""
         self._desk = LeaseDesk(
             task.job,
             self._spec,
@@ -157,9 +162,19 @@ class JobRunner:
         """Render, from the snapshot in the task's folder if there is one. Blocks until the picture is there,
         the run has failed, or `halt` was asked for."""
         try:
-            self._prepare()
-            self._engine.attach(self)
-            return self._loop()
+            while True:
+                try:
+                    return self._attempt()
+                except OSError as error:
+                    if not (self._task.wait_for_room and is_full(error)):
+                        raise
+                    log.warning(
+                        "job %s: %s; it goes on from its last snapshot when there is room", self.job, error
+                    )
+                self._suspend()
+                if self._halt is not None:
+                    state = JobState.CANCELLED if self._halt is Halt.CANCEL else JobState.PAUSED
+                    return RunResult(state, self._record, StopReason.CANCELLED if state.ended else None)
         except RunFailedError as failed:
             return self._fail(failed.failure)
         except OSError as error:
@@ -168,6 +183,22 @@ class JobRunner:
         finally:
             self._desk.close()
             self._engine.detach(self)
+
+    def _attempt(self) -> RunResult:
+        self._prepare()
+        self._engine.attach(self)
+        return self._loop()
+
+    def _suspend(self) -> None:
+        """Let go of all that is not on disk, and wait a while."""
+        self._engine.detach(self)
+        self._desk.wind_up()
+        self._reason = None
+        self._full_before = self._record
+        end = time.monotonic() + SPACE_SECONDS
+        while self._halt is None and time.monotonic() < end:
+            with contextlib.suppress(queue.Empty):
+                self._inbox.get(timeout=TICK_SECONDS)
 
     def _make_spec(self) -> RenderSpec:
         task = self._task
@@ -190,6 +221,7 @@ class JobRunner:
         self._stage, found = self._stages.resume()
         kept = found or self._fresh()
         self._record = kept.record
+        self._tell_resumed(kept)
         self._life = Life(JobState.COMPILING, kept.record.crashes)
         self._clock = TraceClock(kept.record.seconds)
         self._tile_size = kept.tile_size
@@ -220,6 +252,16 @@ class JobRunner:
         if task.scene.adaptive is not None:
             self._desk.share(stage.levels, stage.allotment, anew=anew)
         self._plan(self._canvas.missing())
+
+    def _tell_resumed(self, kept: Snapshot) -> None:
+        """Have the receipt tell that work which no snapshot holds is done again."""
+        record = kept.record
+        record.resumed += bool(kept.checked or kept.open_ends)
+        if self._full_before is not None:
+            record.redone_leases += self._full_before.leases - record.leases
+            told = "the disk was full: the render waited, and went on from its last snapshot"
+            record.warnings += [told] if told not in record.warnings else []
+            self._full_before = None
 
     def _fresh(self) -> Snapshot:
         """A run from the start: whatever lies in the folder is of no use."""

@@ -13,6 +13,7 @@ from penumbra_scene.scene import Scene
 
 from penumbra_service.film.develop import Developed, develop_bands
 from penumbra_service.film.film import MEMORY_LIMIT, Film
+from penumbra_service.film.replicates import Layout
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
 from penumbra_service.jobs.record import RunRecord
 
@@ -51,6 +52,10 @@ class RenderTask:
     memory_limit: int = MEMORY_LIMIT
     decode: DecodeLimits = DEFAULTS
     """On assets that have to be decoded anew."""
+    layout: Layout | None = None
+    """Of replicates and samples; None: as sampler and stop rule have it."""
+    wait_for_room: bool = False
+    """A full disk does not fail the job: it goes on from its last snapshot when there is room."""
     strict: bool = False
     """Only devices of one bit class: that of the first that works on it."""
     verify: float = VERIFY_SHARE

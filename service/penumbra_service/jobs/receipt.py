@@ -100,6 +100,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         bit_class=record.bit_class,
         plan=_plan(record),
         redone_leases=record.redone_leases,
+        resumed=record.resumed,
         checked_leases=record.checked_leases,
         warnings=(*record.warnings, *context.warnings, *_missed(scene, record, reason)),
     )

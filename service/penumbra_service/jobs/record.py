@@ -107,6 +107,8 @@ class RunRecord:
     program_hash: str | None = None
     kernel_hash: str | None = None
     redone_leases: int = 0
+    resumed: int = 0
+    """Times that a run went on from a snapshot."""
     checked_leases: int = 0
     """Done by two devices and compared."""
     crashes: int = 0
@@ -115,6 +117,11 @@ class RunRecord:
     """None: no adaptive render, or its pilot has not decided yet."""
     counts: PixelCounts | None = None
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def leases(self) -> int:
+        """Of all devices, as far as they went into the picture."""
+        return sum(use.leases for use in self.devices.values())
 
     @property
     def bit_class(self) -> str:

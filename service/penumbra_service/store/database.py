@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, create_engine, event, inspect, make_url
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 
 BUSY_MILLISECONDS: Final = 10_000
 MIGRATIONS: Final = Path(__file__).parent / "migrations"
@@ -71,6 +72,13 @@ class Database:
 def newest_revision() -> str:
     """The last migration's: files are named by their revisions, in order."""
     return max(path.name.partition("_")[0] for path in (MIGRATIONS / "versions").glob("[0-9]*.py"))
+
+
+def is_passing(error: BaseException) -> bool:
+    """Whether the same may work in a moment: a connection was dropped, the server restarts, another holds the lock."""
+    return isinstance(error, OperationalError | InterfaceError) or (
+        isinstance(error, DBAPIError) and error.connection_invalidated
+    )
 
 
 def _engine(url: str) -> Engine:

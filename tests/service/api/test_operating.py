@@ -143,7 +143,7 @@ def test_metrics_tell_of_work_and_error(settings: Settings, scene: dict[str, Any
         assert 'penumbra_frames{state="open"} 4.0' in text
         runner.free.add(job)
         until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] == "done")
-        assert "penumbra_job_relative_error{" not in client.get("/metrics").text
+        until(lambda: "penumbra_job_relative_error{" not in client.get("/metrics").text)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import os
 import socket
 import ssl
 import stat
+import sys
 import threading
 import time
 from pathlib import Path
@@ -15,7 +16,9 @@ import pytest
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.certs import ROLES, CertsExistError, make_certs
 from penumbra_service.engine.dask.scheduler import SchedulerOptions, serve_scheduler
+from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
 from penumbra_service.engine.dask.wire import NotPortableError, publish
+from penumbra_service.engine.local import NoDeviceError
 from penumbra_service.engine.protocol import RenderSpec
 from penumbra_service.settings import SettingsError
 from penumbra_service.store.content import NoSuchAssetError, asset_file
@@ -172,3 +175,16 @@ def test_a_scene_is_published_with_the_assets_that_it_names(store, tmp_path):  #
 def test_scenes_with_files_beside_them_stay_on_their_machine(store, tmp_path):  # type: ignore[no-untyped-def]
     with pytest.raises(NotPortableError, match="this machine only"):
         publish(_spec(tmp_path, b"{}", str(tmp_path)), store, "url")
+
+
+def test_a_device_that_fails_the_self_test_does_not_join(tmp_path, caplog):  # type: ignore[no-untyped-def]
+    script = tmp_path / "selftest.py"
+    script.write_text("import sys; print('case 12 failed'); sys.exit(1)")
+    fake = (sys.executable, str(Path(__file__).with_name("fake_device.py")))
+    options = WorkerOptions(
+        "tcp://127.0.0.1:1", device_command=fake, selftest=(sys.executable, str(script)), cache=tmp_path
+    )
+    with pytest.raises(NoDeviceError, match="no device of this machine has passed the self-test"):
+        supervise(options)
+    assert "device fake:0 does not join" in caplog.text
+    assert "case 12 failed" in caplog.text

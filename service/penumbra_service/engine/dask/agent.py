@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -35,6 +35,7 @@ from penumbra_service.engine.protocol import (
 from penumbra_service.engine.snapshot import kernel_hash
 from penumbra_service.store.contents import ContentStore, trim
 
+SCENES_REMEMBERED: Final = 64
 KNOWN_SECONDS: Final = 120.0
 """Listing devices may take so long at a worker's start."""
 
@@ -44,6 +45,8 @@ class _Waiting:
     lease: Lease
     answer: Future[Answer]
     tell: Callable[[SceneLoaded], None]
+    whose: tuple[str, str, str]
+    """Service, job, spec."""
 
 
 class Agent:
@@ -76,6 +79,9 @@ class Agent:
         self._ready: deque[_Waiting] = deque()
         self._held: dict[str, _Waiting] = {}
         self._fetching = threading.Lock()
+        self._loaded: OrderedDict[str, SceneLoaded] = OrderedDict()
+        """By spec, what loading it was like: services that come later hear it too."""
+        self._told: set[tuple[str, str, str]] = set()
         self._engine = LocalEngine([device_id], command=command)
 
     def start(self) -> None:
@@ -100,9 +106,13 @@ class Agent:
             spec = self._fetch(lease.spec, farm.contents)
         except OSError as error:  # this worker's trouble: another may reach the store
             return LeaseFailure(lease.id, "device", f"the scene cannot be fetched: {error}")
-        waiting = _Waiting(replace(lease, spec=spec), Future(), tell)
+        waiting = _Waiting(replace(lease, spec=spec), Future(), tell, (farm.topic, lease.job, spec.key))
         with self._lock:
             self._ready.append(waiting)
+            loaded = None if waiting.whose in self._told else self._loaded.get(spec.key)
+            self._told.add(waiting.whose)
+        if loaded is not None:
+            tell(_warm(loaded, lease.job))
         self._engine.wake()
         return waiting.answer.result()
 
@@ -127,9 +137,16 @@ class Agent:
                 with self._lock:
                     waiting = next((w for w in self._held.values() if w.lease.job == job), None)
                 if waiting is not None:
+                    self._remember(waiting.lease.spec.key, event)
                     waiting.tell(event)
             case NoDevice(reason):
                 self._give_up(reason)
+
+    def _remember(self, key: str, loaded: SceneLoaded) -> None:
+        with self._lock:
+            self._loaded[key] = loaded
+            while len(self._loaded) > SCENES_REMEMBERED:
+                self._loaded.popitem(last=False)
 
     def _give_up(self, reason: str) -> None:
         with self._lock:
@@ -155,6 +172,13 @@ class Agent:
             trim(assets, self._cache_bytes, files)
             trim(self._cache / "scenes", self._cache_bytes, [scene])
         return replace(spec, scene_path=str(scene), assets_folder=str(assets))
+
+
+def _warm(loaded: SceneLoaded, job: str) -> SceneLoaded:
+    """For a job that finds the scene loaded."""
+    return replace(
+        loaded, job=job, build_seconds=0.0, build_warm=True, compile_seconds=0.0, compile_warm=True
+    )
 
 
 _AGENT: Agent | None = None

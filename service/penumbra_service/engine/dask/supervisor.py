@@ -32,6 +32,8 @@ WAITS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
 """Seconds before a process that ended is started again: the first, second ... time in a row."""
 STEADY_SECONDS: Final = 30.0
 """A process that ran so long begins a new row."""
+SELFTEST: Final = (sys.executable, "-m", "penumbra_kernels.hardcases")
+SELFTEST_SECONDS: Final = 1800.0
 LEAVE_SECONDS: Final = 10.0
 TICK_SECONDS: Final = 0.1
 
@@ -54,13 +56,17 @@ class WorkerOptions:
     cache: Path = field(default_factory=lambda: cache.folder() / "farm")
     cache_bytes: int = 20 << 30
     device_command: tuple[str, ...] = DEVICE_COMMAND
+    selftest: tuple[str, ...] = ()
+    """Command that, with --device ID behind it, ends with 0 where the device may join; none: all may."""
 
 
 def supervise(options: WorkerOptions) -> None:
     """Keep the workers up until SIGTERM or SIGINT. Raises SettingsError, NoDeviceError."""
     check_scheduler(options.scheduler, options.tls)
     security(options.tls, "worker")
-    devices = _chosen(options)
+    devices = [device for device in _chosen(options) if _fit(device, options.selftest)]
+    if not devices:
+        raise NoDeviceError("no device of this machine has passed the self-test: none joins")
     leave = threading.Event()
 
     def told(number: int, frame: FrameType | None) -> None:
@@ -90,6 +96,28 @@ def _chosen(options: WorkerOptions) -> list[str]:
     if not found:
         raise NoDeviceError("this machine has no OpenCL device")
     return list(options.devices) or found
+
+
+def _fit(device: str, selftest: Sequence[str]) -> bool:
+    """Whether a device passes the self-test, in a process of its own: it may crash or hang."""
+    if not selftest:
+        return True
+    try:
+        done = subprocess.run(
+            [*selftest, "--device", device],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            timeout=SELFTEST_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        log.error("device %s does not join: its self-test took more than %g s", device, SELFTEST_SECONDS)
+        return False
+    if done.returncode != 0:
+        log.error("device %s does not join: its self-test failed\n%s", device, done.stdout[-4000:])
+    return done.returncode == 0
 
 
 def _command(options: WorkerOptions, device: str, name: str, index: int) -> list[str]:
