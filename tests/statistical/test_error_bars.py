@@ -40,6 +40,11 @@ def test_estimated_variance_is_the_real_one(
 ) -> None:
     opened = lab(scene, sampler)
     study = opened.study(SAMPLES, seeds)
+    if (scene, sampler) == ("edge", FIXED_POSITIONS):
+        # nothing but the positions decides here: all renders are alike, and say so
+        assert study.real.max() < 1e-12
+        assert study.claimed.max() < 1e-12
+        return
     record(f"{scene} {sampler} {SAMPLES}", _entry(opened, study))
     assert 0.9 < study.ratio(opened.pooled) < 1.1
     if sampler != FIXED_POSITIONS:
