@@ -96,3 +96,7 @@ distclean: clean ## remove the environment too
 .PHONY: pairs
 pairs: setup ## every two effects in a scene of their own: specialised against generic, bit for bit
 	@PENUMBRA_ALL_PAIRS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 tests/kernels/trace/test_pairs.py $(ARGS)
+
+.PHONY: effects
+effects: setup ## measure what leaving effects out saves, and write docs/effects.md
+	@$(BIN)/python bench/effects.py $(ARGS)

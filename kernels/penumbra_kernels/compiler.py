@@ -37,6 +37,8 @@ class Built:
     """False: it was in the cache."""
     problem: str | None = None
     """Why it cannot be built."""
+    died: bool = False
+    """The process ended before it had an answer: nothing was built."""
 
 
 def is_cached(device: Device, flags: Flags) -> bool:
@@ -76,7 +78,7 @@ class Compiler:
             return None
         if self._process is None:
             self._orders -= 1
-            return Built(0.0, built=False)
+            return Built(0.0, built=False, died=True)
         assert self._process.stdout is not None
         if timeout is not None and not select.select([self._process.stdout], [], [], timeout)[0]:
             return None

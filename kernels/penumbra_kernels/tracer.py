@@ -36,8 +36,8 @@ _OTHER_SEED: Final = 0x2545F4914F6CDD1D
 Flags = Mapping[str, int]
 
 
-def _has(flag: str) -> Callable[[Flags], bool]:
-    return lambda flags: bool(flags[f"PENUMBRA_{flag}"])
+def _has(*names: str) -> Callable[[Flags], bool]:
+    return lambda flags: any(flags[f"PENUMBRA_{name}"] for name in names)
 
 
 def _always(flags: Flags) -> bool:
@@ -47,7 +47,7 @@ def _always(flags: Flags) -> bool:
 ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("params", _always),
     ("filter_table", _always),
-    ("shutter_table", _always),
+    ("shutter_table", _has("MOTION", "CAMERA_MOTION", "DEFORMATION")),
     ("nodes", _always),
     ("packets", _always),
     ("shapes", _always),
@@ -62,7 +62,7 @@ ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("discs", _has("ROUND")),
     ("planes", _has("ROUND")),
     ("instances", _has("INSTANCING")),
-    ("keyframes", lambda flags: bool(flags["PENUMBRA_MOTION"] or flags["PENUMBRA_CAMERA_MOTION"])),
+    ("keyframes", _has("MOTION", "CAMERA_MOTION")),
     ("times", _has("DEFORMATION")),
     ("textures", _has("TEXTURES")),
     ("texels", _has("TEXTURES")),
@@ -137,11 +137,10 @@ class Tracer:
         self.compiled_cold = device.builds > builds
         started = time.perf_counter()
         arrays = tree_arrays(compiled.arrays, device.flags)
-        self._buffers = {
-            name: device.upload(arrays[name])
-            for name, present in ARGUMENTS
-            if present(self.flags) and name not in PER_LAUNCH
-        }
+        uploaded = [name for name, present in ARGUMENTS if present(self.flags) and name not in PER_LAUNCH]
+        self.scene_bytes = sum(arrays[name].nbytes for name in uploaded)
+        """Of scene data on the device."""
+        self._buffers = {name: device.upload(arrays[name]) for name in uploaded}
         self.upload_seconds = time.perf_counter() - started
         self._params = compiled.params.copy()
         self._options = self._params["options"].copy()

@@ -59,7 +59,7 @@ def test_the_compilers_words_and_its_death_are_answers(own: Path, device: Device
         compiler.order(FLAGS)
         assert compiler._process is not None
         compiler._process.kill()
-        assert [compiler.answer(), compiler.answer()] == [Built(0.0, False)] * 2
+        assert [compiler.answer(), compiler.answer()] == [Built(0.0, built=False, died=True)] * 2
         compiler.order(FLAGS)
         again = compiler.answer()
         assert again is not None

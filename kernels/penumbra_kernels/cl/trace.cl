@@ -171,7 +171,10 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
 }
 
 __kernel void trace(const __global Params *params, const __global float *filter_table,
-                    const __global float *shutter_table, const __global TreeNode *nodes, const __global TreeTriangles *packets,
+#if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION
+                    const __global float *shutter_table,
+#endif
+                    const __global TreeNode *nodes, const __global TreeTriangles *packets,
                     const __global ShapeData *shapes, const __global TriangleData *triangles,
                     const __global float *positions, const __global float *normals, const __global float *uvs,
                     const __global Material *materials, const __global Light *lights,
@@ -278,6 +281,9 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   scene.environment_light = params->environment_light;
   scene.light_tree = (params->options & OPTION_LIGHT_TREE) != 0u;
 
+#if !(PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION)
+  const __global float *shutter_table = 0;
+#endif
   const __global ushort *item_counts = 0;
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
   item_counts = counts;

@@ -51,7 +51,9 @@ static inline float3 direct_light(const SceneData *scene, const __global Params 
   if (params->options & OPTION_ALL_LIGHTS) {
     for (uint light = 0; light < total; light++) {
       for (uint j = 0; j < picks; j++) {
-        const float2 u = sample_2d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT, light), j, picks);
+        const float2 u = light_has_extent(scene, light)
+                             ? sample_2d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT, light), j, picks)
+                             : (float2)(0.0f);
         const float ut = light_has_triangles(scene, light)
                              ? sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks)
                              : 0.0f;
@@ -65,7 +67,9 @@ static inline float3 direct_light(const SceneData *scene, const __global Params 
     float pmf;
     const uint light = light_choose(scene, receiver, us, &pmf);
     if (!(pmf > 0.0f)) continue;
-    const float2 u = sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), j, picks);
+    const float2 u = light_has_extent(scene, light)
+                         ? sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), j, picks)
+                         : (float2)(0.0f);
     const float ut = light_has_triangles(scene, light)
                          ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), j, picks)
                          : 0.0f;

@@ -133,7 +133,7 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
     float3 wi, weight;
     uint event;
     const float u_lobe = bsdf_has_lobes(&bsdf) ? sample_1d(sampler, DIM_BOUNCE(bounce, SLOT_LOBE)) : 0.0f;
-    const float2 u = sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION));
+    const float2 u = bsdf_has_spread(&bsdf) ? sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION)) : (float2)(0.5f);
     if (!bsdf_sample(&bsdf, u_lobe, u, &wi, &weight, &lobe_pdf, &event)) break;
     delta = (event & BSDF_EVENT_DELTA) != 0u;
     if (last && !delta) break;  // light samples had full weight here

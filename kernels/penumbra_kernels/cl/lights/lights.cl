@@ -32,6 +32,18 @@ static inline bool light_has_triangles(const SceneData *scene, const uint light)
 #endif
 }
 
+// Whether light_sample asks for u: point, spot and directional lights have one direction alone.
+static inline bool light_has_extent(const SceneData *scene, const uint light) {
+#if PENUMBRA_DELTA_LIGHTS && (PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT)
+  const uint type = scene->lights[light].type;
+  return type != LIGHT_POINT && type != LIGHT_SPOT && type != LIGHT_DIRECTIONAL;
+#elif PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT
+  return true;
+#else
+  return false;
+#endif
+}
+
 // Samples a direction to a light. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing arrives:
 // behind the light, edge-on, at the light itself. *out is whole only where it returns true.
 static inline bool light_sample(const SceneData *scene, const uint light, const float3 p, const float time,

@@ -114,8 +114,8 @@ static inline void bsdf_start(const SceneData *scene, const Surface *surface, co
 #endif
 }
 
-static inline bool bsdf_has_smooth(const Bsdf *b) {
-  if (!b->smooth || b->type == MATERIAL_BLACK) return false;
+// Whether bsdf_sample asks for u: mirrors and clear panes send light on in directions that they have already.
+static inline bool bsdf_has_spread(const Bsdf *b) {
 #if PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION
   if (b->type == MATERIAL_MIRROR) return false;
   if (b->type == MATERIAL_CONDUCTOR || b->type == MATERIAL_DIELECTRIC || b->type == MATERIAL_THIN_DIELECTRIC) {
@@ -123,6 +123,10 @@ static inline bool bsdf_has_smooth(const Bsdf *b) {
   }
 #endif
   return true;
+}
+
+static inline bool bsdf_has_smooth(const Bsdf *b) {
+  return b->smooth && b->type != MATERIAL_BLACK && bsdf_has_spread(b);
 }
 
 // Whether light from behind the surface can count; if not, wi has to lie above the shading normal (and the geometric one).
