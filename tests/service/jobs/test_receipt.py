@@ -13,6 +13,8 @@ from penumbra_scene.scene import Scene
 from penumbra_service.film.predict import Point
 from penumbra_service.jobs.receipt import ReceiptContext, build_receipt
 from penumbra_service.jobs.record import AdaptiveUse, DeviceUse, Effect, Foretold, PixelCounts, RunRecord
+from penumbra_service.results import attributes
+from penumbra_service.web.pages import receipt_rows
 
 START = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 CONTEXT = ReceiptContext("j1", "a name", START, START, START + timedelta(seconds=9), 1.0, 0.5)
@@ -58,8 +60,15 @@ def scene() -> Scene:
 def test_a_receipt_tells_how_samples_were_spread(scene, kept):  # type: ignore[no-untyped-def]
     mode = "fast" if kept else "certified"
     use = AdaptiveUse("error", mode, kept, 16, 0.5, 1.1, {"0": 1, "10": 6, "2": 3})
-    adaptive = build_receipt(scene, _record(adaptive=use), StopReason.SAMPLES, CONTEXT).adaptive
+    receipt = build_receipt(scene, _record(adaptive=use), StopReason.SAMPLES, CONTEXT)
+    adaptive = receipt.adaptive
     assert adaptive is not None
+    told = attributes(receipt)
+    assert str(told["penumbra:biased"]).startswith("yes" if kept else "no")
+    assert told["penumbra:adaptive"] == f"error, {mode}"
+    rows = dict(dict(receipt_rows(receipt))["Adaptive sampling"])
+    assert rows["Pilot"].endswith("kept" if kept else "dropped")
+    assert rows["Biased"].startswith("yes" if kept else "no")
     assert adaptive.biased == (kept > 0)
     # ends[-1] is 8 of each of 8 replicates: level 2 takes 0 and 4, level 10 takes 0
     most, middle, least = (64, 24, 16) if kept else (64, 16, 8)
