@@ -36,6 +36,8 @@ from penumbra_kernels.layout import CONSTANTS, KEYFRAME, LIGHT, LIGHT_NODE
 
 Array = NDArray[Any]
 NONE: Final = CONSTANTS["NONE"]
+FAR: Final = (CONSTANTS["LIGHT_DIRECTIONAL"], CONSTANTS["LIGHT_ENVIRONMENT"])
+"""Types of lights at infinity."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,8 @@ class _Compiler:
 
     def result(self, environment_light: int) -> CompiledLights:
         lights = np.array(self.lights, LIGHT)
-        table = alias_table(_weights(self.powers, self.scene.integrator.light_selection))
+        far = np.isin(lights["type"], FAR)
+        table = alias_table(_weights(self.powers, far, self.scene.integrator.light_selection))
         lights["pmf"] = table["pmf"]
         nodes = self._tree(lights)
         arrays: dict[str, Array] = {
@@ -258,12 +261,21 @@ def _sphere(record: Array, sphere: Array, emitter: ShapeRecord) -> float:
     return 4.0 * math.pi * float(elliprg(a * b, a * c, b * c))  # Carlson 1995, DLMF 19.33.2
 
 
-def _weights(powers: list[float], selection: str) -> NDArray[np.float64]:
-    """What the choice goes by. A single light is always asked, so that programs without the choice agree."""
+def _weights(powers: list[float], far: NDArray[np.bool_], selection: str) -> NDArray[np.float64]:
+    """What the choice goes by. A single light is always asked, so that programs without the choice agree.
+
+    The power of lights at infinity grows with the scene's size, whatever reaches the point that is lit: beside others they
+    have half of the choice together, as in the tree.
+    """
     weights = np.array(powers, np.float64)
     if len(weights) == 1:
         return np.ones(1)
-    return (weights > 0.0).astype(np.float64) if selection == "uniform" else weights
+    if selection == "uniform":
+        return (weights > 0.0).astype(np.float64)
+    sums = [float(weights[group].sum()) for group in (far, ~far)]
+    if min(sums) > 0.0:
+        weights = weights / np.where(far, *sums)
+    return weights
 
 
 def compile_lights(
