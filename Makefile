@@ -13,7 +13,7 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim faults soak farm
+.PHONY: help setup bench demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim faults soak farm
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -64,6 +64,9 @@ farmsim: setup ## simulate a day of 10,000 workers with the service's own planne
 
 pictures: setup ## render every example into docs/pictures
 	@$(BIN)/python scripts/pictures.py $(ARGS)
+
+bench: setup ## measure against Embree and Mitsuba, and write docs/performance.md (ARGS=--full for longer)
+	@$(BIN)/python bench/run.py $(ARGS)
 
 lights: setup ## measure how lights are chosen, and write docs/lights.md
 	@$(BIN)/python bench/lights.py $(ARGS)

@@ -16,10 +16,7 @@ from penumbra_kernels.assets import Assets, NoAssets
 from penumbra_kernels.compile.transforms import matrix_at
 from penumbra_scene.materials import TextureRef
 from penumbra_scene.scene import Scene
-
-
-class UnsupportedError(ValueError):
-    """The scene has something that the two renderers do not define alike."""
+from scenes import UnsupportedError
 
 
 def _transform(matrix: np.ndarray) -> Any:

@@ -14,9 +14,8 @@ import argparse
 import importlib.util
 import json
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from clock import clock, cores
@@ -25,42 +24,56 @@ from penumbra_kernels.compile.scene import compile_scene
 from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import Tile
 from penumbra_kernels.tracer import SamplePlan, Tracer
-from scenes import SCENES, SIZE, build
+from scenes import SCENES, SIZE, UnsupportedError, build
 
 Array = NDArray[np.float64]
-Render = Callable[[int, int], Array]
-"""(samples, seed) -> (height, width, 3)."""
 REPLICATES = 8
 EPSILON = 0.01
 TARGETS = (1e-2, 1e-3)
+SEEDS = (1, 2)
 LLVM = ("libLLVM-19.so", "libLLVM.so.19.1")
 RENDERERS = (
     "penumbra",
+    "penumbra_1",
     "mitsuba_scalar/independent",
     "mitsuba_scalar/multijitter",
     "mitsuba_llvm/independent",
     "mitsuba_llvm/multijitter",
 )
+"""`penumbra` renders as the service does: 8 replicates, whose spread is the error bar. `penumbra_1` has one: no error bar,
+but one sequence over all samples, as the others have."""
 
 
-def penumbra(name: str, sampler: str) -> Render:
-    """As the service renders: 8 replicates, whose spread is the error bar."""
-    device = Device()
-    tracers: dict[tuple[int, int], Tracer] = {}
-    compiled = {}
+class Renderer(Protocol):
+    """A scene in a renderer, loaded."""
 
-    def render(samples: int, seed: int) -> Array:
-        replicates = min(REPLICATES, samples)
-        count = samples // replicates
-        if seed not in compiled:
-            compiled[seed] = compile_scene(*build(name, sampler, seed))
-        key = (count, seed)
-        if key not in tracers:
-            tracers[key] = Tracer(device, compiled[seed], SamplePlan(replicates, count))
-        sums = tracers[key].trace(Tile(0, 0, SIZE, SIZE), 0, count).sums
+    def prepare(self, samples: int) -> None:
+        """Whatever is done once: programs, buffers."""
+
+    def render(self, samples: int, seed: int) -> Array:
+        """(height, width, 3)."""
+
+
+class Penumbra:
+    """This renderer, without the service around it."""
+
+    def __init__(self, name: str, sampler: str, replicates: int) -> None:
+        self._device = Device()
+        self._replicates = replicates
+        self._compiled = {seed: compile_scene(*build(name, sampler, seed)) for seed in SEEDS}
+        self._tracers: dict[tuple[int, int], Tracer] = {}
+
+    def prepare(self, samples: int) -> None:
+        replicates = min(self._replicates, samples)
+        for seed, compiled in self._compiled.items():
+            tracer = Tracer(self._device, compiled, SamplePlan(replicates, samples // replicates))
+            tracer.trace(Tile(0, 0, 8, 8), 0, 1)
+            self._tracers[samples, seed] = tracer
+
+    def render(self, samples: int, seed: int) -> Array:
+        tracer = self._tracers[samples, seed]
+        sums = tracer.trace(Tile(0, 0, SIZE, SIZE), 0, samples // tracer.plan.replicates).sums
         return np.asarray((sums["rgba"][..., :3] / sums["taken"][..., None]).mean(axis=0, dtype=np.float64))
-
-    return render
 
 
 def find_llvm() -> None:
@@ -71,40 +84,46 @@ def find_llvm() -> None:
             os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(path))
 
 
-def mitsuba(name: str, variant: str, sampler: str) -> Render:
+class Mitsuba:
     """Mitsuba's path integrator with roulette off, as in our scenes."""
-    find_llvm()
-    import mitsuba as mi
 
-    mi.set_variant({"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb"}[variant])
-    import drjit as dr
-    from mitsuba_scene import to_mitsuba
+    def __init__(self, name: str, variant: str, sampler: str) -> None:
+        find_llvm()
+        import mitsuba as mi
 
-    dr.set_thread_count(cores())
-    scene, held = build(name)
-    loaded = mi.load_dict(to_mitsuba(scene, sampler, held))
+        mi.set_variant({"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb"}[variant])
+        import drjit as dr
+        from mitsuba_scene import to_mitsuba
 
-    def render(samples: int, seed: int) -> Array:
-        return np.array(mi.render(loaded, spp=samples, seed=seed), np.float64)
+        dr.set_thread_count(cores())
+        scene, held = build(name)
+        self._mi, self._scene = mi, mi.load_dict(to_mitsuba(scene, sampler, held))
 
-    return render
+    def prepare(self, samples: int) -> None:
+        self.render(1, 999)
+
+    def render(self, samples: int, seed: int) -> Array:
+        return np.array(self._mi.render(self._scene, spp=samples, seed=seed), np.float64)
 
 
-def renderer(name: str, which: str) -> Render:
-    """`penumbra`, `penumbra/<sampler>` or `mitsuba_<variant>/<sampler>` on a scene."""
+def renderer(name: str, which: str) -> Renderer:
+    """`penumbra[/sampler]`, `penumbra_1[/sampler]` or `mitsuba_<variant>/<sampler>` on a scene. Raises ImportError where a
+    package is missing, UnsupportedError where the scene has what the renderer lacks."""
     program, _, sampler = which.partition("/")
-    if program == "penumbra":
-        return penumbra(name, sampler or "sobol")
-    return mitsuba(name, program.removeprefix("mitsuba_"), sampler)
+    if program.startswith("penumbra"):
+        return Penumbra(name, sampler or "sobol", 1 if program == "penumbra_1" else REPLICATES)
+    if importlib.util.find_spec("mitsuba") is None:
+        raise ImportError("mitsuba is not installed")
+    return Mitsuba(name, program.removeprefix("mitsuba_"), sampler)
 
 
-def measure(render: Render, ladder: list[int]) -> list[dict[str, Any]]:
-    """Seconds a picture and the two pictures at each number of samples; each is rendered once before."""
+def measure(loaded: Renderer, ladder: list[int]) -> list[dict[str, Any]]:
+    """Seconds a picture and the two pictures at each number of samples."""
     points = []
     for samples in ladder:
-        render(samples, 1), render(samples, 2)
+        loaded.prepare(samples)
         started = clock()
-        pictures = [render(samples, seed) for seed in (1, 2)]
+        pictures = [loaded.render(samples, seed) for seed in SEEDS]
         points.append({"samples": samples, "seconds": (clock() - started) / 2, "pictures": pictures})
     return points
 
@@ -138,12 +157,10 @@ def compare(name: str, which: list[str], ladder: list[int]) -> dict[str, Any]:
     measured: dict[str, list[dict[str, Any]]] = {}
     left_out: dict[str, str] = {}
     for one in which:
-        if one.startswith("mitsuba") and importlib.util.find_spec("mitsuba") is None:
-            left_out[one] = "mitsuba is not installed"
-            continue
+        rungs = ladder[:-1] if one.startswith("mitsuba_scalar") and len(ladder) > 2 else ladder  # it is slow
         try:
-            measured[one] = measure(renderer(name, one), ladder)
-        except (ImportError, ValueError) as error:
+            measured[one] = measure(renderer(name, one), rungs)
+        except (ImportError, UnsupportedError) as error:
             left_out[one] = str(error).splitlines()[0]
     mean = np.mean([p for points in measured.values() for p in points[-1]["pictures"]], axis=0)
     result: dict[str, Any] = {one: finish(points, mean) for one, points in measured.items()}

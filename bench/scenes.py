@@ -16,6 +16,10 @@ Json = dict[str, Any]
 SIZE = 128
 
 
+class UnsupportedError(ValueError):
+    """The scene has something that the two renderers do not define alike."""
+
+
 class HeldMeshes:
     """Assets in memory, by the hash of their positions."""
 
@@ -158,8 +162,8 @@ def glass(held: HeldMeshes) -> Json:
     )  # fmt: skip
 
 
-def lights(held: HeldMeshes) -> Json:
-    """A room with 200 small lamps of very different power, and pillars between them."""
+def lights(held: HeldMeshes, count: int = 200) -> Json:
+    """A room with small lamps of very different power, and pillars between them."""
     rng = np.random.default_rng(11)
     shapes = [
         _quad((-5, 0, 5), (10, 0, 0), (0, 0, -10), material="white"),
@@ -170,7 +174,10 @@ def lights(held: HeldMeshes) -> Json:
         *(_ball((x, 0.8, z), 0.5, "white") for x in (-3, 0, 3) for z in (-3, 0, 3)),
     ]
     for x, z, power in zip(
-        rng.uniform(-4.8, 4.8, 200), rng.uniform(-4.8, 4.8, 200), rng.lognormal(0, 1.2, 200), strict=True
+        rng.uniform(-4.8, 4.8, count),
+        rng.uniform(-4.8, 4.8, count),
+        rng.lognormal(0, 1.2, count),
+        strict=True,
     ):
         shapes.append(_lamp(0.06, 2.9, round(6.0 * power, 4), round(x, 4), round(z, 4)))
     return _scene(shapes, (0, 1.7, 4.9), (0, 1.2, 0), 60.0, integrator={"max_bounces": 2}, materials=DIFFUSE)

@@ -1,0 +1,270 @@
+"""docs/performance.md and its plots, from the results of bench/run.py and the notes beside this file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+plt.switch_backend("svg")
+plt.rcParams |= {"svg.fonttype": "none", "svg.hashsalt": "penumbra"}
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+FOLDER = DOCS / "performance"
+NOTES = Path(__file__).with_name("notes.md")
+Row = Iterable[object]
+LABELS = {
+    "penumbra": "Penumbra, 8 replicates",
+    "penumbra_1": "Penumbra, 1 replicate",
+    "mitsuba_scalar/independent": "Mitsuba scalar, independent",
+    "mitsuba_scalar/multijitter": "Mitsuba scalar, multijitter",
+    "mitsuba_llvm/independent": "Mitsuba llvm, independent",
+    "mitsuba_llvm/multijitter": "Mitsuba llvm, multijitter",
+}
+COLORS = {
+    "penumbra": "#0b6e99",
+    "penumbra_1": "#5fb3d3",
+    "mitsuba_scalar/independent": "#c9c2b0",
+    "mitsuba_scalar/multijitter": "#9c927a",
+    "mitsuba_llvm/independent": "#f0b27a",
+    "mitsuba_llvm/multijitter": "#c0561a",
+}
+BEST = "mitsuba_llvm/multijitter"
+
+
+def table(head: Row, rows: Iterable[Row]) -> str:
+    """Markdown."""
+    heads = [str(cell) for cell in head]
+    lines = [heads, ["---"] * len(heads), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def number(value: float | None) -> str:
+    """Three digits."""
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _save(figure: Any, name: str) -> None:
+    FOLDER.mkdir(exist_ok=True)
+    figure.tight_layout()
+    figure.savefig(FOLDER / f"{name}.svg", metadata={"Date": None})
+    plt.close(figure)
+
+
+def _renderers(scene: dict[str, Any]) -> list[str]:
+    return [name for name in LABELS if name in scene]
+
+
+def plot_rays(rays: dict[str, Any]) -> None:
+    figure, axis = plt.subplots(figsize=(7, 3))
+    names, values, robust = [], [], []
+    for scene in rays["scenes"]:
+        for kind in ("primary", "diffuse", "shadow"):
+            names.append(f"{scene['triangles']:,}\n{kind}")
+            values.append(scene[kind].get("ratio_to_embree", 0.0))
+            robust.append(scene[kind].get("ratio_to_embree_robust", 0.0))
+    at = range(len(names))
+    axis.bar([i - 0.2 for i in at], values, 0.4, label="to Embree", color=COLORS["penumbra"])
+    axis.bar([i + 0.2 for i in at], robust, 0.4, label="to Embree, robust", color=COLORS["penumbra_1"])
+    axis.axhline(1.0, color="black", linewidth=0.8)
+    axis.set_xticks(list(at), names, fontsize=6)
+    axis.set_ylabel("rays per second, ratio")
+    axis.legend(fontsize=7)
+    _save(figure, "rays")
+
+
+def plot_errors(paths: dict[str, Any]) -> None:
+    figure, axes = plt.subplots(2, 4, figsize=(11, 5))
+    for axis, (name, scene) in zip(axes.flat, paths.items(), strict=False):
+        for which in _renderers(scene):
+            points = scene[which]["points"]
+            axis.loglog(
+                [p["seconds"] for p in points], [p["relmse"] for p in points],
+                marker="o", markersize=2.5, linewidth=1, label=LABELS[which], color=COLORS[which],
+            )  # fmt: skip
+        axis.set_title(name, fontsize=9)
+        axis.tick_params(labelsize=6, which="both")
+    for axis in axes[1]:
+        axis.set_xlabel("seconds", fontsize=7)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("relMSE", fontsize=7)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncol=3, fontsize=7)
+    figure.subplots_adjust(bottom=0.2)
+    FOLDER.mkdir(exist_ok=True)
+    figure.savefig(FOLDER / "errors.svg", metadata={"Date": None}, bbox_inches="tight")
+    plt.close(figure)
+
+
+def _line(axis: Axes, data: dict[str, float], label: str) -> None:
+    axis.plot(
+        [float(x) for x in data], [1e3 * y for y in data.values()], marker="o", color=COLORS["penumbra"]
+    )
+    axis.set_xscale("log")
+    axis.set_ylim(bottom=0)
+    axis.set_xlabel(label, fontsize=8)
+    axis.tick_params(labelsize=7)
+
+
+def plot_scaling(scaling: dict[str, Any]) -> None:
+    figure, axes = plt.subplots(1, 3, figsize=(9, 2.6))
+    for axis, name in zip(axes, ("samples", "triangles", "lights"), strict=True):
+        _line(axis, scaling[name], name)
+    axes[0].set_ylabel("ms for a sample\nof every pixel", fontsize=8)
+    _save(figure, "scaling")
+
+
+def rays_text(rays: dict[str, Any]) -> str:
+    rows = []
+    product, robust, count = 1.0, 1.0, 0
+    for scene in rays["scenes"]:
+        for kind in ("primary", "diffuse", "shadow"):
+            one = scene[kind]
+            a, b = one.get("ratio_to_embree"), one.get("ratio_to_embree_robust")
+            rows.append(
+                (f"{scene['triangles']:,}", kind, number(one["mrays_per_second"]), number(a), number(b))
+            )
+            if a is not None:
+                product, robust, count = product * a, robust * b, count + 1
+    text = table(("triangles", "rays", "M rays/s", "to Embree", "to Embree, robust"), rows)
+    if count:
+        text += (
+            f"\n\nGeometric means: {product ** (1 / count):.2f} times default Embree,"
+            f" {robust ** (1 / count):.2f} times robust Embree."
+        )
+    return text
+
+
+def paths_text(paths: dict[str, Any]) -> str:
+    rates, seconds = [], []
+    for name, scene in paths.items():
+        which = [scene.get(key) for key in ("penumbra", "penumbra_1", "mitsuba_scalar/multijitter", BEST)]
+        rates.append(
+            (name, *(number(x and x["mpaths_per_second"]) for x in which), _ratio(which, "mpaths_per_second"))
+        )
+        for target in ("0.01", "0.001"):
+            key = f"seconds_to_{target}"
+            inverse = _ratio(which, key)
+            seconds.append((name, target, *(number(x and x[key]) for x in which), inverse))
+    head = ("Penumbra", "Penumbra, 1 replicate", "Mitsuba scalar, multijitter", "Mitsuba llvm, multijitter")
+    return (
+        "Million camera paths a second:\n\n"
+        + table(("scene", *head, "1 replicate to llvm"), rates)
+        + "\n\nSeconds to a relMSE:\n\n"
+        + table(("scene", "relMSE", *head, "1 replicate to llvm"), seconds)
+    )
+
+
+def _ratio(which: list[Any], key: str) -> str:
+    ours, best = which[1], which[3]
+    return number(ours[key] / best[key]) if ours and best else "-"
+
+
+def samplers_text(samplers: dict[str, Any]) -> str:
+    names = list(next(iter(samplers.values())))
+    rows = [
+        (f"`{name}`", *(number(scene[name]["points"][-1]["relmse"]) for scene in samplers.values()))
+        for name in names
+        if all(name in scene for scene in samplers.values())
+    ]
+    return table(("sampler", *samplers), rows)
+
+
+def trees_text(scaling: dict[str, Any]) -> str:
+    rows = [
+        (f"{int(n):,}", number(t["build_seconds"]), number(t["found_seconds"]), number(t["bytes_a_triangle"]))
+        for n, t in scaling["trees"].items()
+    ]
+    return table(("triangles", "seconds to build", "seconds to find", "bytes a triangle"), rows)
+
+
+def cores_text(results: dict[str, Any]) -> str:
+    rows = []
+    for name, scene in results["all_cores"].items():
+        for which in ("penumbra", BEST):
+            if which in scene and which in results["paths"][name]:
+                one, every = (x[which]["mpaths_per_second"] for x in (results["paths"][name], scene))
+                rows.append((name, LABELS[which], number(one), number(every), number(every / one)))
+    return table(("scene", "renderer", "one core", f"{results['machine']['cores']} cores", "ratio"), rows)
+
+
+def write_page(results: dict[str, Any]) -> None:
+    """Everything, from whatever sections there are."""
+    machine = results["machine"]
+    plot_rays(results["rays"])
+    plot_errors(results["paths"])
+    plot_scaling(results["scaling"])
+    devices = "; ".join(
+        f"{d['name']}, {d['platform']}, code for {d['instructions'] or 'its own instruction set'}"
+        for d in machine["devices"]
+    )
+    peers = ", ".join(f"{name} {found}" for name, found in machine["peers"].items())
+    left_out = sorted(
+        {reason for scene in results["paths"].values() for reason in scene.get("left_out", {}).values()}
+    )
+    start = results["scaling"]["start"]
+    text = f"""# Performance
+
+Written by `make bench` (`bench/run.py`); do not edit. The numbers are in `bench/results`, what they are made of in `bench/`.
+
+Machine: {machine["processor"]}, {machine["cores"]} cores. {devices}. Peers: {peers}. One core unless said: CPU seconds of
+processes that are pinned to it. Ratios are of one run, medians of alternating turns for rays.
+
+## Rays
+
+The same rays, one after the other through each library's interface for single rays: through pixels, a cosine-distributed bounce
+from where they hit, and from there to a light. Above 1 Penumbra is faster. Its rays are watertight; Embree's default mode is
+not, its robust mode nearly is.
+
+![Ratios to Embree](performance/rays.svg)
+
+{rays_text(results["rays"])}
+
+## Paths
+
+The scenes of `bench/scenes.py`, 128 x 128, roulette off, all renderers with multiple importance sampling. Penumbra splits
+samples into 8 replicates, whose spread is its error bar; the peers give no error bar, so one replicate is the like comparison.
+{"Left out: " + "; ".join(left_out) + "." if left_out else ""}
+
+![relMSE over seconds](performance/errors.svg)
+
+{paths_text(results["paths"])}
+
+## Samplers
+
+relMSE at 64 samples a pixel, one replicate, on the same scenes:
+
+{samplers_text(results["samplers"])}
+
+## Scaling
+
+![Milliseconds a sample](performance/scaling.svg)
+
+Time grows linearly with samples, and with the logarithm of triangles and of lights.
+
+{cores_text(results)}
+
+## Trees
+
+Seconds of one core, numba's code loaded; found: the same mesh again, from the cache folder. Bytes: tree, packets, vertices and
+records on the device.
+
+{trees_text(results["scaling"])}
+
+## Start
+
+From a process' start to its first picture of one sample of the Cornell box (128 x 128), without the service:
+{start["empty_caches"]:.2f} s with empty caches, {start["warm_caches"]:.2f} s with warm ones.
+
+{NOTES.read_text().strip()}
+"""
+    (DOCS / "performance.md").write_text(text)
+
+
+if __name__ == "__main__":
+    import json
+
+    write_page(json.loads((Path(__file__).parent / "results" / "quick.json").read_text()))
