@@ -170,6 +170,20 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
 #endif
 }
 
+// Which (replicate, pixel) entry the work-item of number i takes. CPUs go row by row; on GPUs the 32 threads that run in step take
+// 8 x 4 pixels of one replicate, whose rays stay together longer. Who takes what changes nothing in the result.
+static inline uint entry_of(const __global Params *params, const uint i) {
+#if PENUMBRA_DEVICE_GPU
+  const uint width = params->tile_width, height = params->tile_height;
+  if ((width & 7u) == 0u && (height & 3u) == 0u) {
+    const uint block = i >> 5, columns = width >> 3;
+    const uint x = block % columns * 8u + (i & 7u), row = block / columns * 4u + ((i >> 3) & 3u);
+    return row * width + x;  // rows of all replicates count on: the height is a multiple of 4
+  }
+#endif
+  return i;
+}
+
 __kernel void trace(const __global Params *params, const __global float *filter_table,
 #if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION
                     const __global float *shutter_table,
@@ -294,7 +308,8 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #endif
   const uint first = first_item + (uint)get_global_id(0) * params->items_per_group;
   const uint end = MIN(first + params->items_per_group, params->item_count);
-  for (uint item = first; item < end; item++) {
+  for (uint i = first; i < end; i++) {
+    const uint item = entry_of(params, i);
     __global Layers *item_layers = 0;
 #if PENUMBRA_LAYERS
     item_layers = layers + item;
