@@ -13,6 +13,8 @@ typedef struct {
   float sx, sy, sz; // shear along them
 } WideRay;
 
+#define NO_ENTRY ((ulong)NO_CHILD | 0xffffffff00000000ul)  // farther than any
+
 static inline float component(const float3 v, const uint axis) { return axis == 0u ? v.x : axis == 1u ? v.y : v.z; }
 static inline float3 permuted(const WideRay *w, const float3 v) {
   return (float3)(component(v, w->kx), component(v, w->ky), component(v, w->kz));
@@ -57,7 +59,7 @@ static inline void cut_axis(const uint near_steps, const uint far_steps, const u
   *leave = MIN(b, *leave);
 }
 
-// The nearest child that is met, or NO_CHILD; the others wait on the stack.
+// The nearest child that is met, or NO_CHILD; the others wait on the stack, the second nearest on its top.
 static inline uint visit_node(const SceneData *scene, const __global CompactNode *node, const WideRay *w, const float end,
                               Stack *stack) {
   const uint exponents = node->exponents;
@@ -68,7 +70,7 @@ static inline uint visit_node(const SceneData *scene, const __global CompactNode
   const __global uint *lo_x = (const __global uint *)node->lo_x, *hi_x = (const __global uint *)node->hi_x;
   const __global uint *lo_y = (const __global uint *)node->lo_y, *hi_y = (const __global uint *)node->hi_y;
   const __global uint *lo_z = (const __global uint *)node->lo_z, *hi_z = (const __global uint *)node->hi_z;
-  ulong nearest = ~0ul;
+  ulong nearest = NO_ENTRY, second = NO_ENTRY;
   for (uint half4 = 0u; half4 < 2u; half4++) {
     const uint near_x = back_x ? hi_x[half4] : lo_x[half4], far_x = back_x ? lo_x[half4] : hi_x[half4];
     const uint near_y = back_y ? hi_y[half4] : lo_y[half4], far_y = back_y ? lo_y[half4] : hi_y[half4];
@@ -81,11 +83,14 @@ static inline uint visit_node(const SceneData *scene, const __global CompactNode
       const uint word = node->child[4u * half4 + lane];
       if (!(enter <= leave) || word == NO_CHILD) continue;
       const ulong entry = stack_entry(word, enter);
-      if (nearest != ~0ul) stack->entries[stack->size++] = MAX(nearest, entry);
+      const ulong later = MAX(nearest, entry);
       nearest = MIN(nearest, entry);
+      if (second != NO_ENTRY) stack->entries[stack->size++] = MAX(second, later);
+      second = MIN(second, later);
     }
   }
-  return nearest == ~0ul ? NO_CHILD : (uint)nearest;
+  if (second != NO_ENTRY) stack->entries[stack->size++] = second;
+  return (uint)nearest;
 }
 
 // A triangle's vertices along the ray's permuted axes, relative to nothing yet.
