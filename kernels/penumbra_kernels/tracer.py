@@ -119,8 +119,10 @@ class Tracer:
         *,
         program: str = "specialised",
         pick_freeze: bool = False,
+        keep_arrays: bool = True,
     ) -> None:
-        """pick_freeze: `other_groups` may name groups of dimensions that draw from a second stream (sensitivity.py)."""
+        """keep_arrays: leave the scene's arrays where they are; without, each is let go once the device has its copy.
+        pick_freeze: `other_groups` may name groups of dimensions that draw from a second stream (sensitivity.py)."""
         self.device = device
         self.compiled = compiled
         self.plan = plan
@@ -140,7 +142,12 @@ class Tracer:
         uploaded = [name for name, present in ARGUMENTS if present(self.flags) and name not in PER_LAUNCH]
         self.scene_bytes = sum(arrays[name].nbytes for name in uploaded)
         """Of scene data on the device."""
-        self._buffers = {name: device.upload(arrays[name]) for name in uploaded}
+        self._buffers = {}
+        for name in uploaded:
+            self._buffers[name] = device.upload(arrays[name])
+            if not keep_arrays:
+                del arrays[name]
+                compiled.arrays.pop(name, None)
         self.upload_seconds = time.perf_counter() - started
         self._params = compiled.params.copy()
         self._options = self._params["options"].copy()

@@ -69,7 +69,7 @@ class LoadedOnDevice:
     def __init__(self, device: Device, prepared: Prepared, spec: RenderSpec) -> None:
         compiled = prepared.compiled
         plan = SamplePlan(spec.replicates, spec.strata)
-        tracer = Tracer(device, compiled, plan, program=spec.program)
+        tracer = Tracer(device, compiled, plan, program=spec.program, keep_arrays=False)
         started = time.perf_counter()
         tracer.trace(_WARM_UP, 0, 1)
         self.compile_seconds = tracer.compile_seconds + time.perf_counter() - started

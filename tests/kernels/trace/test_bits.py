@@ -82,3 +82,16 @@ def test_layers_of_the_plane_wide_sampler_are_means_over_all_its_paths(device: D
     assert node.layers["albedo_depth"][..., 0] == pytest.approx(0.5 * taken, rel=1e-6)
     assert node.layers["albedo_depth"][..., 3] == pytest.approx(2.0 * taken, rel=1e-5)
     assert node.layers["normal"][..., 2] == pytest.approx(1.0 * taken, rel=1e-6)
+
+
+def test_a_scene_that_is_let_go_renders_the_same(device: Device) -> None:
+    """The device's copy is all that is left of what the program reads."""
+    kept, gone = (compile_scene(busy(), NoAssets()) for _ in range(2))
+    tracers = [
+        Tracer(device, kept, SamplePlan(2, 2), program="generic"),
+        Tracer(device, gone, SamplePlan(2, 2), program="generic", keep_arrays=False),
+    ]
+    assert {"nodes", "packets", "positions", "lights"} <= kept.arrays.keys()
+    assert not {"nodes", "packets", "positions", "lights"} & gone.arrays.keys()
+    a, b = (tracer.trace(Tile(0, 0, 24, 20), 0, 2).sums for tracer in tracers)
+    assert a.tobytes() == b.tobytes()
