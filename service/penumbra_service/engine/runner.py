@@ -109,6 +109,7 @@ class JobRunner:
         self._halt: Halt | None = None
         self._told: tuple[JobState, Progress] | None = None
         self._last_progress = self._last_preview = -math.inf
+        self._clock = TraceClock(0.0)
         self._reason: str | None = None
         self._full_before: RunRecord | None = None
         """What was known when the disk was full."""
