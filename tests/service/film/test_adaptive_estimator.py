@@ -50,7 +50,8 @@ class Pictures:
 
 def tracer_of(device: Device, seed: int, adaptive: bool) -> Tracer:
     section = {"strategy": "error"} if adaptive else None
-    scene = Scene.model_validate({"version": 1, **soft_shadow("sobol", seed), "adaptive": section})
+    sections = {"sampler": {"type": "sobol", "seed": seed}, "adaptive": section}
+    scene = Scene.model_validate({"version": 1, **soft_shadow("sobol"), **sections})
     return Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(REPLICATES))
 
 
