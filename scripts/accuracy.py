@@ -47,7 +47,7 @@ REFERENCE: Final = 2048
 COMPARED: Final = (80, 60)
 SPLIT: Final = (48, 36)
 FORETOLD: Final = (96, 72)
-UPKEEP: Final = (160, 120)
+UPKEEP: Final = (96, 72)
 PARTS: Final = ("compare", "splitting", "forecasts")
 
 
@@ -66,14 +66,21 @@ def main() -> int:
         }
         if "compare" in parts:
             numbers["compare"] = {name: _compare(engine, name) for name in SCENES}
+            _write(numbers)
         if "forecasts" in parts:
             numbers["forecasts"] = [asdict(f) for f in _forecasts(engine)]
+            _write(numbers)
     if "splitting" in parts:
         numbers |= _splitting()
-    NUMBERS.write_text(json.dumps(numbers, indent=1) + "\n")
-    PAGE.write_text("\n".join(page(numbers)) + "\n")
+    _write(numbers)
     print(f"{PAGE.relative_to(ROOT)} in {time.monotonic() - began:.0f} s", file=sys.stderr)
     return 0
+
+
+def _write(numbers: dict[str, Any]) -> None:
+    """After every part: a run that is broken off keeps what it has measured."""
+    NUMBERS.write_text(json.dumps(numbers, indent=1) + "\n")
+    PAGE.write_text("\n".join(page(numbers)) + "\n")
 
 
 def _processor() -> str:
@@ -224,25 +231,21 @@ def _split_page(splitting: dict[str, Any], kept: dict[str, Any]) -> Iterator[str
     yield from _table(["scene", "theta", *(f"R = {r}" for r in COUNTS)], rows)
     worst = max(_of(s["price"], 8) for s in splitting.values())
     yield (
-        f"Eight replicates cost {worst:.2f} at most here, and give an interval 7 degrees of freedom where four give 3: "
+        f"Eight replicates cost {worst:.2f} at most here (the aim is 1.3), and give an interval "
+        "7 degrees of freedom where four give 3: "
         "2.36 standard errors in place of 3.18. So jobs take 8, and a quote advises 4 where the pilot's theta says that 8 "
         "would cost more than 1.3 ([decision 19](decisions/0019-eight-replicates.md))."
     )
     yield ""
     yield (
-        "V of one pixel is uncertain by 53 % at R = 8. Pooled over blocks it is uncertain by less, and the quotient that is "
-        "relmse less biased. First number: relative deviation of V pooled over a block, the median block; second: relmse of "
-        "128 samples over what four times the samples say."
+        "V of one pixel is uncertain by 53 % at R = 8. The relative deviation of V pooled over a block, after 128 samples, "
+        "of the median block:"
     )
     rows = [
-        [f"`{name}`", *(f"{_of(s['deviation'], b):.2f}, {_of(s['bias'], b):.3f}" for b in BLOCKS)]
-        for name, s in splitting.items()
+        [f"`{name}`", *(f"{_of(s['deviation'], b):.2f}" for b in BLOCKS)] for name, s in splitting.items()
     ]
     yield from _table(["scene", *(f"{b} x {b}" for b in BLOCKS)], rows)
-    yield (
-        "Blocks of 16 x 16 are as good as larger ones in bias, and small enough that light and dark do not mix: the error is "
-        "pooled over them."
-    )
+    yield "The error of a picture is pooled over 16 x 16: larger blocks gain little, and mix light with dark."
     yield ""
     looking, tracing = 100 * kept["looking"], 100 * (kept["replicates"] - 1)
     yield (

@@ -18,9 +18,7 @@ from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import SumNode, Tile, merge
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
-from penumbra_service.film import error as film_error
-from penumbra_service.film.error import image_error, summarize
-from penumbra_service.film.grid import POOL_BLOCK
+from penumbra_service.film.error import EPSILON, image_error, summarize
 from penumbra_service.film.statistics import pixel_flags, pixel_statistics
 from penumbra_service.images.assets import FolderAssets
 
@@ -42,8 +40,6 @@ class Splitting:
     """By replicates: samples to the error of 128 samples in so many replicates, over those of one sequence."""
     deviation: dict[int, float]
     """By side of a block: relative standard deviation of V pooled over it, R = 8, the median block."""
-    bias: dict[int, float]
-    """By side of a block: relmse of renders of 8 replicates over that with four times their samples known."""
 
 
 def measure(device: Device, scene: Scene, assets: FolderAssets) -> Splitting:
@@ -56,13 +52,12 @@ def measure(device: Device, scene: Scene, assets: FolderAssets) -> Splitting:
         node = merge(node, tracer.trace(tile, node.end, node.sample_count))
         nodes[node.end] = node
     means = {n: _means(one) for n, one in nodes.items()}
-    weights = 1 / (means[MOST].mean(axis=0) ** 2 + film_error.EPSILON)
+    weights = 1 / (means[MOST].mean(axis=0) ** 2 + EPSILON)
     v = {n: float(np.mean(m.var(axis=0, ddof=1) * weights)) for n, m in means.items()}
     return Splitting(
         theta=_theta(v),
         price={r: _price(v, r) for r in COUNTS},
         deviation={side: _deviation(nodes[16], tile, side) for side in BLOCKS},
-        bias={side: _bias(nodes[16], tile, side) for side in BLOCKS},
     )
 
 
@@ -108,21 +103,6 @@ def _pooled(variance: NDArray[np.float64], side: int) -> NDArray[np.float64]:
     return blocks
 
 
-def _bias(node: SumNode, tile: Tile, side: int) -> float:
-    """Mean relmse of the groups, times a quarter, over that of all replicates together."""
-    alone = float(np.mean([_relmse(sums, tile, side) for sums in _groups(node)]))
-    return alone * 8 / REPLICATES / _relmse(node.sums, tile, side)
-
-
-def _relmse(sums: NDArray[Any], tile: Tile, side: int) -> float:
-    pixels = pixel_statistics(tile, sums)
-    film_error.POOL_BLOCK = side  # type: ignore[misc]
-    try:
-        return image_error([summarize(pixels, pixel_flags(pixels))]).relmse
-    finally:
-        film_error.POOL_BLOCK = POOL_BLOCK  # type: ignore[misc]
-
-
 @dataclass(frozen=True)
 class Upkeep:
     """What error bars cost beside the same samples without them, in CPU time."""
@@ -133,7 +113,7 @@ class Upkeep:
     """Looking at the picture at every check point up to 256 samples, over tracing them."""
 
 
-def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 5) -> Upkeep:
+def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) -> Upkeep:
     """Interleaved, the least of each."""
     tile = Tile(0, 0, scene.film.width, scene.film.height)
     compiled = compile_scene(scene, assets)
