@@ -168,7 +168,7 @@ def samplers_text(samplers: dict[str, Any]) -> str:
     rows = [
         (f"`{name}`", *(number(scene[name]["points"][-1]["relmse"]) for scene in samplers.values()))
         for name in names
-        if all(name in scene for scene in samplers.values())
+        if name != "left_out" and all(name in scene for scene in samplers.values())
     ]
     return table(("sampler", *samplers), rows)
 
