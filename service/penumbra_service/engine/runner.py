@@ -459,9 +459,10 @@ class JobRunner:
             )
 
     def _open(self) -> None:
-        """One more batch where the devices would run dry."""
+        """One more batch where the devices would run dry. There is always one to be checked next: work that waits may
+        be of batches which are complete, since that of a discarded tile is planned anew beside what was under way."""
         self._desk.allowed(self._engine.usable())
-        while self._desk.idle:
+        while self._desk.idle or self._canvas.batches.current is None:
             if self._stage.pilot and self._canvas.batches.current is not None:
                 return  # what a pilot renders past its end could not be kept
             per_index = self._pixels * self._layout.replicates * self._stage.density

@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 from penumbra_kernels.nodes import Tile
 from penumbra_scene.job import JobState, StopReason
+from penumbra_service.engine.canvas import Canvas
 from penumbra_service.engine.runner import Halt, JobRunner
+from penumbra_service.jobs.planning import WorkItem
 
 _spec = importlib.util.spec_from_file_location("engine_conftest", Path(__file__).with_name("conftest.py"))
 assert _spec is not None
@@ -103,6 +105,28 @@ def test_a_killed_process_costs_time_and_nothing_else(fake_engine, make_task, re
     # the name is no part of what is sampled
     assert picture(result) == reference
     assert engine.devices()[0].crashes == before + 2
+
+
+def test_work_that_waits_twice_does_not_end_a_job_before_its_rule(
+    fake_engine, make_task, reference, monkeypatch
+):  # type: ignore[no-untyped-def]
+    """As after a device that gave wrong sums: its tiles are planned anew beside the work that was under way."""
+    for name in ("MIN_BATCH_SECONDS", "LOOK_FACTOR"):  # speed merges no batches
+        monkeypatch.setattr(f"penumbra_service.jobs.batches.{name}", 0.0)
+    runner = JobRunner(fake_engine(), make_task(name="slow plain"))
+    check, ends = Canvas.check, []
+
+    def check_and_plan_again(canvas, seconds, confidence):  # type: ignore[no-untyped-def]
+        if not ends:
+            runner._desk.add([WorkItem(tile, 0, 1) for tile in canvas.film.tiles] * 10)
+        ends.append(canvas.batches.current)
+        return check(canvas, seconds, confidence)
+
+    monkeypatch.setattr(Canvas, "check", check_and_plan_again)
+    result = runner.run()
+    assert result.reason is StopReason.SAMPLES
+    assert ends == [1, 2, 4]
+    assert picture(result) == reference
 
 
 def _wait_for(condition, seconds=20.0):  # type: ignore[no-untyped-def]
