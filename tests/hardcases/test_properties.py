@@ -160,21 +160,38 @@ WHITE = st.sampled_from(
 )
 
 
+DEFAULT_IOR = 1.5
+
+
+def _passive(shape: dict[str, Any], white: dict[str, Any]) -> dict[str, Any]:
+    """The shape without light of its own, and without an inside unless it is closed: radiance in glass is ior^2 times what it
+    is outside (Veach 1997, 5.2), so that a surface that light leaves and never entered shows more than the furnace holds."""
+    kept = {key: value for key, value in shape.items() if key != "emission"}
+    if shape["type"] != "sphere" and white[shape["material"]]["type"] == "dielectric":
+        kept["material"] = "sheet"
+    return kept
+
+
 @search(12, 400)
 @given(scene=scenes(), a=WHITE, b=WHITE)
 def test_no_scene_makes_light_in_a_furnace(render: Renderer, scene: dict[str, Any], a: Any, b: Any) -> None:
-    shapes = [{key: value for key, value in shape.items() if key != "emission"} for shape in scene["shapes"]]
+    white = {"a": a, "b": b}
     furnace = {
         **scene,
-        "shapes": shapes,
-        "materials": {"a": a, "b": b},
+        "shapes": [_passive(shape, white) for shape in scene["shapes"]],
+        "materials": {**white, "sheet": {"type": "thin_dielectric"}},
         "lights": [],
         "environment": {"type": "constant", "radiance": 1},
         "integrator": {"max_bounces": 16},  # things without an opening would keep paths for ever
     }
     picture = render(furnace, samples=64)
     noise = Z * math.sqrt(picture.variance.sum()) / picture.mean.size * math.sqrt(3)
-    assert picture.mean.mean() - 1 < 1e-4 + noise
+    # The camera may be in a ball of glass, where radiance is ior^2 times what it is outside.
+    glass = any(
+        furnace["materials"][shape["material"]]["type"] == "dielectric" for shape in furnace["shapes"]
+    )
+    most = DEFAULT_IOR**2 if glass else 1.0
+    assert picture.mean.mean() - most < 1e-4 + noise
 
 
 @pytest.fixture(scope="module")
