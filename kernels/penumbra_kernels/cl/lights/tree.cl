@@ -113,9 +113,10 @@ static inline void light_shares(const SceneData *scene, const uint word, const R
   // Rounding never gives more than there are; what it leaves goes to the last child that gets any.
   const float8 free = (float)(numbers - (two.x + two.y)) * (1.0f - 0x1p-20f) / total;
   int8 sum = least + convert_int8(weights * free);
-  sum += (int8)(0, sum.s0123, sum.s456);
-  sum += (int8)(0, 0, sum.s0123, sum.s45);
-  sum += (int8)(0, 0, 0, 0, sum.s0123);
+  // Lane by lane: joined from shorter vectors, these leave lanes undefined on the way, which oclgrind 21.10 cannot follow.
+  sum += (int8)(0, sum.s0, sum.s1, sum.s2, sum.s3, sum.s4, sum.s5, sum.s6);
+  sum += (int8)(0, 0, sum.s0, sum.s1, sum.s2, sum.s3, sum.s4, sum.s5);
+  sum += (int8)(0, 0, 0, 0, sum.s0, sum.s1, sum.s2, sum.s3);
   *ends = sum == sum.s7 ? (int8)(numbers) : sum;
 }
 
