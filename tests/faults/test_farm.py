@@ -51,7 +51,7 @@ def full_disk(monkeypatch):  # type: ignore[no-untyped-def]
 
     monkeypatch.setattr(FolderTileStore, "write", limited)
     monkeypatch.setattr("penumbra_service.engine.runner.SPACE_SECONDS", 0.5)
-    monkeypatch.setattr("penumbra_service.engine.runner.SNAPSHOT_SECONDS", 0.5)
+    monkeypatch.setattr("penumbra_service.engine.course.SNAPSHOT_SECONDS", 0.5)
     return full
 
 

@@ -12,10 +12,12 @@ class TraceClock:
 
     def __init__(self, before: float) -> None:
         self._lock = threading.Lock()
-        self._before = before
-        self._since: float | None = None
-        self._started = False
-        self._busy = True
+        self._begin(before)
+
+    def restart(self, before: float) -> None:
+        """As if it were new."""
+        with self._lock:
+            self._begin(before)
 
     def start(self) -> None:
         """A device has loaded the scene. Does nothing where one had before."""
@@ -39,6 +41,12 @@ class TraceClock:
     def seconds(self) -> float:
         with self._lock:
             return self._before + self._running()
+
+    def _begin(self, before: float) -> None:
+        self._before = before
+        self._since: float | None = None
+        self._started = False
+        self._busy = True
 
     def _running(self) -> float:
         return 0.0 if self._since is None else time.monotonic() - self._since

@@ -67,7 +67,7 @@ def test_bits_do_not_depend_on_tiles_leases_or_the_program(engine, tmp_path, mon
     whole = picture(finished(engine, task_of(tmp_path / "a", way)))
     monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
     monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
     generic = dataclasses.replace(task_of(tmp_path / "b", way), program="generic")
     assert picture(finished(engine, generic)) == whole
 
@@ -77,15 +77,15 @@ def test_bits_do_not_depend_on_tiles_leases_or_the_program(engine, tmp_path, mon
 def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, monkeypatch, way, moment):  # type: ignore[no-untyped-def]
     monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
     monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
-    monkeypatch.setattr("penumbra_service.engine.runner.PROGRESS_SECONDS", 0.0)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 0.0)
     sections = {"stop": {"relative_error": 0.02, "samples": 512}}
     whole = finished(engine, task_of(tmp_path / "a", way, **sections))
     task = task_of(tmp_path / "b", way, **sections)
 
     def halt(state: JobState, progress: Any) -> None:
         decided = (task.folder / "tiles" / NAME).exists()
-        started = runner._canvas.samples > (8 if decided else 0)
+        started = runner._course.canvas.samples > (8 if decided else 0)
         if decided == (moment == "in the picture") and started:
             runner.halt(Halt.PAUSE)
 

@@ -94,14 +94,14 @@ def test_the_picture_makes_sense(reference):  # type: ignore[no-untyped-def]
 
 @pytest.mark.parametrize("size", [16, 32])
 def test_bits_do_not_depend_on_tiles(engine, reference, tmp_path, monkeypatch, size):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", size)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", size)
     assert _same(_channels(JobRunner(engine, _task(tmp_path)).run()), reference)
 
 
 def test_bits_do_not_depend_on_lease_sizes(engine, reference, tmp_path, monkeypatch):  # type: ignore[no-untyped-def]
     monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
     monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
     result = JobRunner(engine, _task(tmp_path)).run()
     assert sum(use.leases for use in result.record.devices.values()) >= 8
     assert _same(_channels(result), reference)

@@ -63,15 +63,15 @@ def test_a_job_gives_the_mean_of_its_samples(fake_engine, make_task):  # type: i
 
 
 def test_bits_do_not_depend_on_devices_or_tiles(fake_engine, make_task, reference, monkeypatch):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 32)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 32)
     engine = fake_engine("fake:0,fake:1,fake:2")
     assert picture(JobRunner(engine, make_task()).run()) == reference
 
 
 def test_the_first_tiles_are_shown_at_once(fake_engine, make_task, monkeypatch):  # type: ignore[no-untyped-def]
     """Before the first look at the whole picture, however seldom progress is told."""
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
-    monkeypatch.setattr("penumbra_service.engine.runner.PROGRESS_SECONDS", 1e9)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 1e9)
     monkeypatch.setattr("penumbra_service.jobs.planning.MAX_LEASE_ITEMS", 4)
     told: list[str] = []
     JobRunner(
@@ -84,7 +84,7 @@ def test_the_first_tiles_are_shown_at_once(fake_engine, make_task, monkeypatch):
 
 
 def test_a_killed_process_costs_time_and_nothing_else(fake_engine, make_task, reference, monkeypatch):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
     engine = fake_engine()
     task = make_task(name="slow plain")
     runner = JobRunner(engine, task)
@@ -205,7 +205,7 @@ def test_a_device_that_cannot_be_opened_is_left_out(fake_engine, make_task, refe
 
 @pytest.mark.parametrize("lose", ["nothing", "tile", "progress"])
 def test_a_paused_job_goes_on_with_the_same_bits(fake_engine, make_task, reference, monkeypatch, lose):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.engine.runner.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
     engine = fake_engine()
     task = make_task(name="slow")
     done = []
