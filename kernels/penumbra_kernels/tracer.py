@@ -199,8 +199,10 @@ class Tracer:
         buffers = dict(self._buffers)
         if allotment is not None and self.flags["PENUMBRA_ADAPTIVE"]:
             buffers["levels"] = self.device.upload(allotment.levels)
-            # What is kept is planned for itself, as it was before anything was decided.
-            self._plan_strata(allotment.kept if first_sample < allotment.kept else allotment.planned)
+            # What is kept has the strata that it had before anything was decided.
+            begun = first_sample < allotment.kept
+            of_kept = max(allotment.kept_planned, allotment.kept)
+            self._plan_strata(of_kept if begun else allotment.planned)
         params["tile_x"], params["tile_y"] = tile.x, tile.y
         params["tile_width"], params["tile_height"] = tile.width, tile.height
         params["first_sample"], params["sample_count"] = first_sample, sample_count

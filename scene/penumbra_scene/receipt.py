@@ -10,6 +10,7 @@ from pydantic import Field
 from penumbra_scene.base import Bool, Float, Integer, Measured, Model, NotBoolean, Unit
 from penumbra_scene.film import Crop, Filter
 from penumbra_scene.job import Count, ErrorPoint, Interval, JobId, StopReason
+from penumbra_scene.limits import MAX_RESOLUTION
 from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.settings import Stop
 
@@ -134,6 +135,22 @@ class LevelShare(Model):
     """Of the picture's pixels."""
 
 
+class SampleMap(Model):
+    """Which of the plan's sample indices each pixel has taken. A pixel of level j takes the indices below `kept`, and of
+    those from there on the multiples of 2^j; level 255 takes nothing from `kept` on."""
+
+    block: Annotated[Literal[1, 8], NotBoolean]
+    """Side in pixels of the blocks that share a level; blocks of 8 are aligned to the full frame."""
+    rows: Annotated[int, Field(ge=1, le=MAX_RESOLUTION), NotBoolean]
+    columns: Annotated[int, Field(ge=1, le=MAX_RESOLUTION), NotBoolean]
+    kept: Count = 0
+    """Indices of each replicate that every pixel takes."""
+    kept_planned: Count = 0
+    """Indices of each replicate that their strata were made for."""
+    levels: str
+    """A byte for each block, row by row: compressed by zlib, in base64."""
+
+
 class AdaptiveReport(Model):
     """How the samples were spread over the picture."""
 
@@ -149,6 +166,8 @@ class AdaptiveReport(Model):
     """The exponent that the samples were shared out by; null for `contrast`."""
     levels: tuple[LevelShare, ...]
     """Most samples first."""
+    map: SampleMap | None = None
+    """Null in receipts of versions that did not record it."""
 
 
 class PlanStep(Model):

@@ -16,7 +16,7 @@ from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.runner import Failure, Halt, JobRunner, RenderTask, RunResult
-from penumbra_service.engine.task import VERIFY_SHARE
+from penumbra_service.engine.task import VERIFY_SHARE, FixedPlan
 from penumbra_service.film.film import MEMORY_LIMIT
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.film.replicates import Layout
@@ -65,6 +65,8 @@ class Picture:
     """Say in the receipt what each effect cost."""
     layout: Layout | None = None
     """Of replicates and samples; None: as sampler and stop rule have it."""
+    fixed: FixedPlan | None = None
+    """Samples that are known beforehand."""
 
 
 class PictureRunner:
@@ -106,6 +108,7 @@ class PictureRunner:
                 decode=self._decode,
                 strict=picture.strict,
                 layout=picture.layout,
+                fixed=picture.fixed,
                 verify=self._verify,
                 wait_for_room=self._patient,
             ),

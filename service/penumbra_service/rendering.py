@@ -23,14 +23,14 @@ from penumbra_scene.job import (
 from penumbra_scene.quote import Quote
 from penumbra_scene.receipt import Receipt
 from penumbra_scene.scene import Scene
-from penumbra_scene.settings import Stop
 
 from penumbra_service.commands import CommandError
 from penumbra_service.engine.launch import Child, ids_of
 from penumbra_service.engine.local import LocalEngine, NoDeviceError, list_devices
 from penumbra_service.engine.protocol import ServedEngine
 from penumbra_service.engine.status import device_status
-from penumbra_service.film.replicates import choose_layout
+from penumbra_service.engine.task import FixedPlan
+from penumbra_service.film.replicates import Layout
 from penumbra_service.frames import run_frames
 from penumbra_service.picture import Picture, PictureRunner
 from penumbra_service.quoting import make_quote
@@ -110,21 +110,21 @@ def render_on(
     return outcome.receipt
 
 
-def render_plan(scene: Scene, end: int, time: float, folder: Path, out: Path, devices: str) -> Receipt:
-    """Render exactly `end` samples a replicate, laid out as the scene's own stop rule would have them.
+def render_plan(
+    scene: Scene, layout: Layout, fixed: FixedPlan, time: float, folder: Path, out: Path, devices: str
+) -> Receipt:
+    """Render exactly the samples of a plan, in as many replicates and strata as `layout` has.
 
     Raises CommandError, OSError.
     """
-    layout = choose_layout(scene.sampler, scene.stop)
-    samples = end * layout.replicates
-    exact = scene.model_copy(update={"stop": Stop(samples=samples)})
     with (
         tempfile.TemporaryDirectory(prefix=".penumbra-", dir=out) as work,
         local_engine(devices) as engine,
     ):
         picture = replace(
-            _picture(JobRequest(scene=exact), Path(work), lambda event: None),
-            layout=replace(layout, samples=samples),
+            _picture(JobRequest(scene=scene), Path(work), lambda event: None),
+            layout=layout,
+            fixed=fixed,
             time=time,
         )
         outcome = _pictures(engine, folder).run(picture)

@@ -1,8 +1,8 @@
 """`penumbra replay`: the picture of a receipt again, bit for bit, whatever ended it.
 
 How many samples a job that the clock or an error stopped has taken depends on the machine's speed; its receipt's plan records
-it. With that many samples, laid out as the receipt's stop rule had them laid out, a device of the same bit class gives the
-same picture.
+it, and of an adaptive job the map that says which pixel took which. With the same samples, laid out as the receipt's stop rule
+had them laid out, a device of the same bit class gives the same picture. No pilot is rendered.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -20,6 +21,8 @@ from penumbra_service.commands import Command, CommandError
 if TYPE_CHECKING:
     from penumbra_scene.receipt import Receipt
     from penumbra_scene.scene import Scene
+
+    from penumbra_service.engine.task import FixedPlan
 
 _REPLAY: Final = """\
 Render the picture of a receipt again, with exactly the samples that it took: on a device of the receipt's bit class every
@@ -67,16 +70,35 @@ def replay(receipt: Path, scene: Path, out: Path, devices: str = "") -> tuple[Re
     """
     from penumbra_scene.parse import parse_scene
 
+    from penumbra_service.film.replicates import choose_layout
     from penumbra_service.rendering import render_plan
 
     old = _receipt(receipt)
     model = parse_scene(scene.read_bytes(), allow_files=True).model_copy(update={"stop": old.stop})
     _demand(old, model)
     out.mkdir(parents=True, exist_ok=True)
-    new = render_plan(
-        model, old.plan[-1].first_sample + old.plan[-1].sample_count, old.time, scene.parent, out, devices
-    )
+    layout = replace(choose_layout(model.sampler, model.stop), replicates=old.replicates)
+    new = render_plan(model, layout, _plan(old, model), old.time, scene.parent, out, devices)
     return new, list(_doubts(old, new))
+
+
+def _plan(old: Receipt, scene: Scene) -> FixedPlan:
+    """What the receipt says that every pixel has taken."""
+    from penumbra_kernels.nodes import Tile
+
+    from penumbra_service.engine.task import FixedPlan
+    from penumbra_service.jobs.receipt import adaptive_use
+    from penumbra_service.jobs.sample_map import levels_of
+
+    end = old.plan[-1].first_sample + old.plan[-1].sample_count
+    if old.adaptive is None or old.adaptive.map is None:
+        return FixedPlan(end)
+    window = scene.film.window
+    try:
+        levels = levels_of(old.adaptive.map, Tile(window.x, window.y, window.width, window.height))
+    except ValueError as error:
+        raise CommandError(f"the receipt's map of samples cannot be read: {error}", Exit.INVALID) from error
+    return FixedPlan(end, levels, adaptive_use(old.adaptive, levels))
 
 
 def _receipt(path: Path) -> Receipt:
@@ -98,10 +120,10 @@ def _demand(old: Receipt, scene: Scene) -> None:
             "rendered, with the settings of the command line or the job in it",
             Exit.INVALID,
         )
-    if scene.adaptive is not None:
+    if scene.adaptive is not None and (old.adaptive is None or old.adaptive.map is None):
         raise CommandError(
-            "an adaptive render decides from its pilot where samples go; its receipt does not hold that map, so that "
-            "it cannot be replayed",
+            "an adaptive render decides from its pilot where samples go; this receipt does not hold that map (older "
+            "versions did not record it), so that it cannot be replayed",
             Exit.INVALID,
         )
     if not old.plan:

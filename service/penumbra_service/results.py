@@ -72,7 +72,7 @@ def write_results(
     """All files of a run that reached its stop rule. Raises OSError."""
     began = time.perf_counter()
     reason = result.reason or StopReason.SAMPLES
-    draft = build_receipt(scene, result.record, reason, context)
+    draft = build_receipt(scene, result.record, reason, context, result.levels)
     keep = _Keeper(scene) if _wants_full(scene, preview) else None
     bands = result.bands()
     write_exr(folder / RESULT, exr_layout(scene, draft), bands if keep is None else keep.pass_on(bands))
@@ -84,7 +84,7 @@ def write_results(
             folder / THUMBNAIL, keep.rgb, exposure=look.exposure, view=look.view, max_side=look.max_side
         )
     done = replace(context, finished=datetime.now(UTC), write_seconds=time.perf_counter() - began)
-    receipt = build_receipt(scene, result.record, reason, done)
+    receipt = build_receipt(scene, result.record, reason, done, result.levels)
     _write_text(folder / RECEIPT, receipt.model_dump_json(indent=1) + "\n")
     return receipt
 

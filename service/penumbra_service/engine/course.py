@@ -65,7 +65,7 @@ class Course:
         window = task.scene.film.window
         self._window = Tile(window.x, window.y, window.width, window.height)
         self._pixels = window.width * window.height
-        self._stages = Stages(task.scene, layout, self._window, task.folder, key)
+        self._stages = Stages(task.scene, layout, self._window, task.folder, key, task.fixed)
         self.record = RunRecord()
         self.reason: str | None = None
         """Why the picture is as it should be; None: it is not yet."""
@@ -198,6 +198,7 @@ class Course:
         record = RunRecord(
             layout.replicates, self.stage.strata, layout.deterministic, kernel_hash=kernel_hash()
         )
+        record.adaptive = self._task.fixed.adaptive if self._task.fixed else None
         return Snapshot(self.stage.key, self._choose_tile_size(), 0, (), record)
 
     def _choose_tile_size(self) -> int:

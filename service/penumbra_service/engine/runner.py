@@ -198,6 +198,7 @@ class JobRunner:
             film=self._course.canvas.film,
             end=end,
             layers=self._task.scene.film.layers,
+            levels=self._course.stage.levels,
         )
 
     def _halted(self, halt: Halt) -> RunResult:

@@ -21,6 +21,7 @@ from penumbra_scene.scene import Scene
 
 from penumbra_service.engine import snapshot
 from penumbra_service.engine.snapshot import Snapshot
+from penumbra_service.engine.task import FixedPlan
 from penumbra_service.film import levels
 from penumbra_service.film.allocation import contrast_levels, error_levels, pilot_of, theta_of
 from penumbra_service.film.film import Film
@@ -67,8 +68,18 @@ class Stage:
 class Stages:
     """The stages of one run, in its folder. `layout`: of the picture."""
 
-    def __init__(self, scene: Scene, layout: Layout, window: Tile, folder: Path, key: str) -> None:
-        self.adaptive = scene.adaptive
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        window: Tile,
+        folder: Path,
+        key: str,
+        fixed: FixedPlan | None = None,
+    ) -> None:
+        """`fixed`: what the picture takes is known beforehand, so that there is no pilot."""
+        self.adaptive = None if fixed else scene.adaptive
+        self._fixed = fixed
         self._stop = scene.stop
         self._layout = layout
         self._window = window
@@ -79,7 +90,8 @@ class Stages:
     def resume(self) -> tuple[Stage, Snapshot | None]:
         """Where an earlier run has left off; no snapshot: nothing that could be used is there."""
         if self.adaptive is None:
-            stage = self._picture(LevelMap(self._window))
+            known = self._fixed.levels if self._fixed else None
+            stage = self._picture(known or LevelMap(self._window))
             return stage, snapshot.load(stage.store, stage.key)
         kept = snapshot.load(self._tiles, self._key)
         if kept is not None and kept.record.adaptive is not None:
@@ -98,9 +110,10 @@ class Stages:
     def decide(self, film: Film, record: RunRecord, end: int) -> Stage:
         """The picture's stage, from a pilot whose film has `end` samples a replicate. Raises OSError."""
         assert self.adaptive is not None
-        kept = end if self.adaptive.biased else 0
+        pilot = self._pilot(self.adaptive)
+        kept = 0 if pilot.own_numbers else end
         theta, values = self._levels(self.adaptive, film, record, end)
-        decided = LevelMap(self._window, values, kept)
+        decided = LevelMap(self._window, values, kept, pilot.strata if kept else 0)
         self._tiles.write(levels.NAME, levels.encode(decided, self._key))
         record.adaptive = AdaptiveUse(
             "contrast" if self.adaptive.strategy == "contrast" else "error",
@@ -167,6 +180,8 @@ class Stages:
         rule = StopRule(
             layout.replicates, samples, stop.seconds, stop.relative_error, stop.confidence, levels=decided
         )
+        if self._fixed is not None:
+            rule = StopRule(layout.replicates, self._fixed.end, confidence=stop.confidence, levels=decided)
         return Stage(rule, self._tiles, self._key, strata, decided, rule)
 
 

@@ -13,9 +13,10 @@ from penumbra_scene.scene import Scene
 
 from penumbra_service.film.develop import Developed, develop_bands
 from penumbra_service.film.film import MEMORY_LIMIT, Film
+from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.replicates import Layout
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
-from penumbra_service.jobs.record import RunRecord
+from penumbra_service.jobs.record import AdaptiveUse, RunRecord
 
 VERIFY_SHARE: Final = 0.01
 """Of leases that are done twice, unless told otherwise."""
@@ -28,6 +29,18 @@ class Halt(StrEnum):
     """Keep a snapshot: another run can go on."""
     CANCEL = "cancel"
     """Keep nothing."""
+
+
+@dataclass(frozen=True)
+class FixedPlan:
+    """Samples that are known beforehand: those of a picture that is rendered again. The scene's stop rule ends nothing."""
+
+    end: int
+    """Indices of each replicate."""
+    levels: LevelMap | None = None
+    """Of an adaptive picture: how its pixels share in them."""
+    adaptive: AdaptiveUse | None = None
+    """What had decided that."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +67,8 @@ class RenderTask:
     """On assets that have to be decoded anew."""
     layout: Layout | None = None
     """Of replicates and samples; None: as sampler and stop rule have it."""
+    fixed: FixedPlan | None = None
+    """None: the scene's stop rule ends the run, and a pilot decides what its `adaptive` asks for."""
     wait_for_room: bool = False
     """A full disk does not fail the job: it goes on from its last snapshot when there is room."""
     strict: bool = False
@@ -96,6 +111,8 @@ class RunResult:
     end: int = 0
     """Samples a replicate that make the picture."""
     layers: tuple[str, ...] = ()
+    levels: LevelMap | None = None
+    """How pixels share in the samples."""
 
     def bands(self) -> Iterator[Developed]:
         """The picture's channels, as bands of scanlines from the top."""

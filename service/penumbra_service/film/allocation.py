@@ -22,6 +22,7 @@ from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.error import EPSILON, block_sums, pool
 from penumbra_service.film.grid import FLAG_BLOCK, POOL_BLOCK, block_starts
+from penumbra_service.film.levels import spread
 from penumbra_service.film.predict import THETA_RANGE
 from penumbra_service.film.statistics import PixelStatistics
 
@@ -105,10 +106,7 @@ def error_levels(window: Tile, pilot: BlockPilot, theta: float) -> NDArray[np.ui
     """(height, width): levels whose densities 2^-level are nearest, in the logarithm, to what the blocks should have."""
     density = densities(pilot, theta)
     levels = np.rint(np.log2(density.max() / density)).astype(np.uint8)
-    rows = np.diff([*block_starts(window.y, window.height, BLOCK), window.height])
-    columns = np.diff([*block_starts(window.x, window.width, BLOCK), window.width])
-    result: NDArray[np.uint8] = np.repeat(np.repeat(levels, rows, axis=0), columns, axis=1)
-    return result
+    return spread(levels, window, BLOCK)
 
 
 def contrast_levels(rgb: NDArray[Any], threshold: float) -> NDArray[np.uint8]:

@@ -18,16 +18,21 @@ from numpy.typing import NDArray
 from penumbra_kernels.allotment import LEVEL_NONE, Allotment, own_samples
 from penumbra_kernels.nodes import Tile
 
+from penumbra_service.film.grid import block_starts
+
 NAME: Final = "levels.map"
-MAGIC: Final = b"PENULEV1"
+MAGIC: Final = b"PENULEV2"
 
 
 class LevelMap:
     """Levels of a window's pixels; those of 8 x 8 blocks, or of single pixels, as was decided. Immutable."""
 
-    def __init__(self, window: Tile, levels: NDArray[np.uint8] | None = None, kept: int = 0) -> None:
+    def __init__(
+        self, window: Tile, levels: NDArray[np.uint8] | None = None, kept: int = 0, kept_planned: int = 0
+    ) -> None:
         """levels: (window height, window width), None: every pixel takes every index. kept: indices of each replicate
-        that all pixels take whatever their level, 0 or a power of two."""
+        that all pixels take whatever their level, 0 or a power of two. kept_planned: for how many their strata were
+        made; a pilot that the clock ended early took fewer."""
         if levels is not None and levels.shape != (window.height, window.width):
             raise ValueError(
                 f"levels of shape {levels.shape} for a window of {window.height} x {window.width}"
@@ -35,6 +40,7 @@ class LevelMap:
         self.window = window
         self.levels = levels
         self.kept = kept
+        self.kept_planned = max(kept_planned, kept)
 
     @cached_property
     def histogram(self) -> dict[int, int]:
@@ -73,7 +79,7 @@ class LevelMap:
 
     def allotment(self, tile: Tile, planned: int) -> Allotment:
         """What a device must know of a tile; planned: indices a replicate, 0 where that is not known."""
-        return Allotment(self._of(tile), self.kept, planned)
+        return Allotment(self._of(tile), self.kept, planned, kept_planned=self.kept_planned)
 
     def _of(self, tile: Tile) -> NDArray[np.uint8]:
         if self.levels is None:
@@ -95,6 +101,14 @@ class LevelMap:
         return self.window.width * self.window.height
 
 
+def spread(values: NDArray[np.uint8], window: Tile, block: int) -> NDArray[np.uint8]:
+    """(height, width) of a window, from a value for each block of this side, aligned to the full frame."""
+    rows = np.diff([*block_starts(window.y, window.height, block), window.height])
+    columns = np.diff([*block_starts(window.x, window.width, block), window.width])
+    result: NDArray[np.uint8] = np.repeat(np.repeat(values, rows, axis=0), columns, axis=1)
+    return result
+
+
 def _histogram(levels: NDArray[np.uint8]) -> dict[int, int]:
     counts = np.bincount(levels.ravel(), minlength=1)
     return {int(level): int(counts[level]) for level in np.flatnonzero(counts)}
@@ -108,7 +122,13 @@ def encode(levels: LevelMap, key: str) -> bytes:
     """A map that was decided, as bytes; `key` names the render that it belongs to."""
     assert levels.levels is not None
     w = levels.window
-    text = json.dumps({"key": key, "window": [w.x, w.y, w.width, w.height], "kept": levels.kept}).encode()
+    header = {
+        "key": key,
+        "window": [w.x, w.y, w.width, w.height],
+        "kept": levels.kept,
+        "kept_planned": levels.kept_planned,
+    }
+    text = json.dumps(header).encode()
     body = MAGIC + struct.pack("<I", len(text)) + text + zlib.compress(levels.levels.tobytes())
     return body + hashlib.sha256(body).digest()
 
@@ -124,4 +144,5 @@ def decode(data: bytes | None, window: Tile, key: str) -> LevelMap | None:
     if header["key"] != key or header["window"] != [window.x, window.y, window.width, window.height]:
         return None
     values = np.frombuffer(zlib.decompress(data[at + length : -size]), np.uint8)
-    return LevelMap(window, values.reshape(window.height, window.width), int(header["kept"]))
+    shaped = values.reshape(window.height, window.width)
+    return LevelMap(window, shaped, int(header["kept"]), int(header["kept_planned"]))

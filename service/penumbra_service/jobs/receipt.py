@@ -30,8 +30,10 @@ from penumbra_scene.receipt import (
 from penumbra_scene.scene import Scene
 
 from penumbra_service.film.error import normal_quantile
+from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta
-from penumbra_service.jobs.record import RunRecord
+from penumbra_service.jobs.record import AdaptiveUse, RunRecord
+from penumbra_service.jobs.sample_map import sample_map
 from penumbra_service.jobs.shortfall import shortfall
 
 DISTRIBUTIONS: Final = ("penumbra-render", "numpy", "pyopencl", "pocl-binary-distribution", "OpenImageIO")
@@ -57,8 +59,15 @@ class ReceiptContext:
     warnings: tuple[str, ...] = field(default=())
 
 
-def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: ReceiptContext) -> Receipt:
-    """A receipt for a picture that ends at record.ends[-1] samples a replicate. `scene`: as rendered."""
+def build_receipt(
+    scene: Scene,
+    record: RunRecord,
+    reason: StopReason,
+    context: ReceiptContext,
+    levels: LevelMap | None = None,
+) -> Receipt:
+    """A receipt for a picture that ends at record.ends[-1] samples a replicate. `scene`: as rendered; `levels`: how its
+    pixels shared in them, where it is adaptive."""
     counts = _counts(record)
     return Receipt(
         job=context.job,
@@ -91,7 +100,7 @@ def build_receipt(scene: Scene, record: RunRecord, reason: StopReason, context: 
         error=_error(record, scene.stop.confidence),
         forecast=_forecast(record),
         counts=counts,
-        adaptive=_adaptive(record),
+        adaptive=_adaptive(record, levels),
         effects_in=_effects(record, present=True),
         effects_out=_effects(record, present=False),
         effects_measured=context.effects_measured,
@@ -155,7 +164,7 @@ def _counts(record: RunRecord) -> Counts:
     )
 
 
-def _adaptive(record: RunRecord) -> AdaptiveReport | None:
+def _adaptive(record: RunRecord, levels: LevelMap | None) -> AdaptiveReport | None:
     use = record.adaptive
     if use is None:
         return None
@@ -173,6 +182,20 @@ def _adaptive(record: RunRecord) -> AdaptiveReport | None:
         pilot_seconds=use.pilot_seconds,
         theta=use.theta,
         levels=tuple(shares),
+        map=sample_map(levels) if levels is not None else None,
+    )
+
+
+def adaptive_use(report: AdaptiveReport, levels: LevelMap) -> AdaptiveUse:
+    """Back from a receipt, for a picture that is rendered again without the pilot."""
+    return AdaptiveUse(
+        report.strategy,
+        report.mode,
+        levels.kept,
+        report.pilot_samples,
+        0.0,
+        report.theta,
+        {str(level): count for level, count in levels.histogram.items()},
     )
 
 

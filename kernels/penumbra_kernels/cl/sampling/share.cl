@@ -45,11 +45,11 @@ static inline Share share_of(const __global Params *params, const uint level) {
 // evenly spread. The others go on with their sequence.
 static inline void sampler_share(Sampler *s, const __global Params *params, const uint level, Share *share) {
   const ulong kept = params->kept;
+  const ulong planned = params->strata;  // of this launch: what was planned while the kept ones were taken, or the axis
   if (params->first_sample < kept) {
-    s->strata = (uint)kept * s->stride;
+    s->strata = (uint)planned * s->stride;
     return;
   }
-  const ulong planned = params->strata;
   s->strata = planned > kept ? (uint)own_samples(planned, level, kept) * s->stride : 0u;
 #if PENUMBRA_SAMPLER == SAMPLER_REGULAR || PENUMBRA_SAMPLER == SAMPLER_STRATIFIED || PENUMBRA_SAMPLER == SAMPLER_JITTERED
   if (kept == 0ul) return;
