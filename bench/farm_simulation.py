@@ -58,16 +58,18 @@ class Job:
     device_seconds: float = 0.0
     first_lease: float | None = None
     finished: float | None = None
+    gain: float = gain_of(math.nan, 1.0, 0.0)
 
     @property
     def scene(self) -> str:
         return self.job
 
-    @property
-    def gain(self) -> float:
-        done = self.total - self.left
-        relmse = SIDE * SIDE / done if done else math.nan  # falls as 1/n from any constant
-        return gain_of(relmse, 1.0, self.device_seconds)
+    def delivered(self, samples: int, seconds: float) -> None:
+        """A lease is done."""
+        self.device_seconds += seconds
+        self.left -= samples
+        relmse = SIDE * SIDE / (self.total - self.left)  # falls as 1/n from any constant
+        self.gain = gain_of(relmse, 1.0, self.device_seconds)
 
 
 @dataclass(eq=False)
@@ -222,8 +224,7 @@ class Farm:
         self.account.traced += seconds
         self.account.loaded += worker.loading
         job.planner.done(lease.number, worker.name, seconds)
-        job.device_seconds += seconds
-        job.left -= lease.samples
+        job.delivered(lease.samples, seconds)
         if worker.held:
             self._begin(now, worker)
         if job.left == 0:

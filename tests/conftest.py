@@ -1,15 +1,26 @@
-"""Fixtures for every test: each device test runs on each OpenCL device that is present."""
+"""Fixtures for every test: each device test runs on each OpenCL device that is present. A PostgreSQL for those that ask
+for one: Debian's package in a temporary folder, on loopback, gone with the test run."""
 
 from __future__ import annotations
 
 import os
+import pwd
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from penumbra_kernels.device import Device, devices
 
 ROOT = Path(__file__).resolve().parent.parent
+REQUIRED = os.environ.get("PENUMBRA_REQUIRE_TOOLS") == "1"
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -30,3 +41,130 @@ def _open(device_id: str) -> Device:
 def device(request: pytest.FixtureRequest) -> Device:
     """An opened OpenCL device."""
     return _open(request.param)
+
+
+def _binaries() -> Path | None:
+    """The folder of the newest server; Debian keeps it off the PATH."""
+    for folder in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True):
+        if (folder / "initdb").is_file():
+            return folder
+    found = shutil.which("initdb")
+    return None if found is None else Path(found).resolve().parent
+
+
+def _unprivileged() -> dict[str, Any]:
+    """How to start a server that refuses to run as root."""
+    if os.geteuid() != 0:
+        return {}
+    names = {entry.pw_name for entry in pwd.getpwall()}
+    name = "postgres" if "postgres" in names else "nobody"
+    return {"user": name, "group": pwd.getpwnam(name).pw_gid, "extra_groups": []}
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="session")
+def postgres_server() -> Iterator[str]:
+    """The URL of a server, without a database's name."""
+    binaries = _binaries()
+    missing = "no PostgreSQL (Debian: postgresql)" if binaries is None else None
+    try:
+        import psycopg  # noqa: F401
+    except ImportError:
+        missing = "no psycopg (the extra 'farm')"
+    if missing is not None or binaries is None:
+        if REQUIRED:
+            pytest.fail(f"{missing}, but PENUMBRA_REQUIRE_TOOLS is set")
+        pytest.skip(str(missing))
+    who = _unprivileged()
+    folder = Path(tempfile.mkdtemp(prefix="penumbra-postgres-"))
+    if who:
+        os.chown(folder, pwd.getpwnam(who["user"]).pw_uid, who["group"])
+    port = _free_port()
+    words = [
+        binaries / "initdb",
+        "-D",
+        folder / "data",
+        "-U",
+        "penumbra",
+        "-A",
+        "trust",
+        "-E",
+        "UTF8",
+        "--no-sync",
+    ]
+    made = subprocess.run(
+        [str(word) for word in words], capture_output=True, text=True, check=False, cwd=folder, **who
+    )
+    assert made.returncode == 0, made.stderr
+    settings = [
+        f"port={port}",
+        "listen_addresses=127.0.0.1",
+        f"unix_socket_directories={folder}",
+        "fsync=off",
+    ]
+    command = [str(binaries / "postgres"), "-D", str(folder / "data")]
+    for setting in settings:
+        command += ["-c", setting]
+    with (folder / "log").open("wb") as log:
+        server = subprocess.Popen(command, stdout=log, stderr=log, cwd=folder, **who)
+    try:
+        _wait(server, port, folder / "log")
+        yield f"postgresql+psycopg://penumbra@127.0.0.1:{port}"
+    finally:
+        server.terminate()
+        server.wait(30)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _wait(server: subprocess.Popen[bytes], port: int, log: Path) -> None:
+    import psycopg
+
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            psycopg.connect(f"host=127.0.0.1 port={port} user=penumbra dbname=postgres").close()
+            return
+        except psycopg.OperationalError:
+            assert server.poll() is None, log.read_text()
+            assert time.monotonic() < deadline, log.read_text()
+            time.sleep(0.05)
+
+
+@pytest.fixture
+def postgres_url(postgres_server: str) -> Iterator[str]:
+    """A database of its own."""
+    import psycopg
+
+    name = f"test_{uuid.uuid4().hex}"
+    admin = postgres_server.replace("+psycopg", "") + "/postgres"
+    with psycopg.connect(admin, autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name}")
+    yield f"{postgres_server}/{name}"
+    with psycopg.connect(admin, autocommit=True) as connection:
+        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+
+def _drop_connections(url: str) -> int:
+    """End every other connection to the database, as a restart of the server or a firewall does."""
+    from sqlalchemy import create_engine, text
+
+    engine = create_engine(url)
+    with engine.connect() as connection:
+        query = (
+            "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+            "WHERE datname = current_database() AND pid <> pg_backend_pid()"
+        )
+        dropped = len(connection.execute(text(query)).all())
+    engine.dispose()
+    return dropped
+
+
+@pytest.fixture
+def drop_connections() -> Callable[[str], int]:
+    """drop_connections(url): how many there were."""
+    return _drop_connections

@@ -96,6 +96,7 @@ def _worker(arguments: argparse.Namespace) -> int:
         from penumbra_service.engine.dask.supervisor import SELFTEST, WorkerOptions, supervise
     except ImportError as error:
         raise CommandError(_MISSING.format(error)) from error
+    from penumbra_service import logs
     from penumbra_service.engine.local import NoDeviceError
     from penumbra_service.settings import SettingsError
     from penumbra_service.store.contents import contents_url
@@ -115,6 +116,7 @@ def _worker(arguments: argparse.Namespace) -> int:
         **more,
     )
     try:
+        logs.configure_from(os.environ)
         supervise(options)
     except SettingsError as error:
         raise CommandError(str(error)) from error

@@ -1,4 +1,4 @@
-"""The service's log: lines for people, or JSON objects for programs, one a line, on standard error.
+"""The log of services, workers and schedulers: lines for people, or JSON objects for programs, one a line, on standard error.
 
 Whatever is logged while a job is worked on names it under `job` (and `frame`), by structlog's context variables; what
 concerns a lease names it under `lease`, given as `extra`.
@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Mapping
 from typing import Any, Final, TextIO
 
 import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
+
+from penumbra_service.settings import ENVIRONMENT_PREFIX, load_settings
 
 FIELDS: Final = ("job", "frame", "lease", "device")
 """What records may carry as `extra`."""
@@ -24,6 +27,15 @@ def configure(level: str, form: str, stream: TextIO | None = None) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
+
+
+def configure_from(environment: Mapping[str, str]) -> None:
+    """As PENUMBRA_LOG_LEVEL and PENUMBRA_LOG_FORMAT say. Raises SettingsError."""
+    prefix = f"{ENVIRONMENT_PREFIX}LOG_"
+    settings = load_settings(
+        {}, {name: text for name, text in environment.items() if name.startswith(prefix)}
+    )
+    configure(settings.log_level, settings.log_format)
 
 
 def _formatter(form: str) -> logging.Formatter:

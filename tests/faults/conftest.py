@@ -1,15 +1,17 @@
-"""A farm of separate processes on loopback: a scheduler, workers on fake devices, and the service's engine here."""
+"""Farms of separate processes on loopback: a scheduler, workers on fake devices or on PoCL, services, and an engine here."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
@@ -23,11 +25,15 @@ import pytest
 from penumbra_scene.job import JobState, Progress
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.dask.engine import DaskEngine
+from penumbra_service.engine.launch import DEVICE_COMMAND
 from penumbra_service.engine.local import LocalEngine
 from penumbra_service.engine.runner import JobRunner, RenderTask, RunResult
 
+ROOT = Path(__file__).parents[2]
 FAKE = Path(__file__).parents[1] / "service" / "engine" / "fake_device.py"
-PATIENCE = 120.0
+FAKE_COMMAND = (sys.executable, str(FAKE))
+POCL = "pocl:0"
+PATIENCE = 400.0
 """Seconds for anything that a busy machine takes its time for."""
 _SCHEDULER = """
 import sys
@@ -35,11 +41,17 @@ from penumbra_service.engine.dask.scheduler import SchedulerOptions, serve_sched
 serve_scheduler(SchedulerOptions(port=int(sys.argv[1]), status_port=0))
 """
 _WORKER = """
+import json
+import os
 import sys
 from pathlib import Path
+from penumbra_service.engine.dask import supervisor
 from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
+supervisor.WAITS = (0.5, 1.0)  # who is killed every few seconds would soon be left alone for half a minute
 scheduler, name, cache, device = sys.argv[1:5]
-supervise(WorkerOptions(scheduler, devices=(device,), name=name, cache=Path(cache), device_command=tuple(sys.argv[5:])))
+selftest = tuple(json.loads(os.environ.get("SELFTEST", "[]")))
+command = tuple(sys.argv[5:])
+supervise(WorkerOptions(scheduler, None, (device,), name, cache=Path(cache), device_command=command, selftest=selftest))
 """
 
 
@@ -58,10 +70,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class Farm:
-    """Starts and ends the processes; `engine` is the service's side."""
+    """Starts and ends the processes; `engine` is the service's side. `device`: what workers drive unless told otherwise, by
+    the device process `command`, with these `variables` in its environment."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        device: str = "fake:0",
+        command: tuple[str, ...] = FAKE_COMMAND,
+        **variables: str,
+    ) -> None:
         self.folder = folder
+        self._device = device
+        self._command = command
+        self._variables = variables
         self.port = free_port()
         self.address = f"tcp://127.0.0.1:{self.port}"
         self.processes: dict[str, subprocess.Popen[str]] = {}
@@ -72,12 +94,10 @@ class Farm:
     def start_scheduler(self) -> None:
         self._start("scheduler", [sys.executable, "-c", _SCHEDULER, str(self.port)])
 
-    def add_worker(
-        self, name: str, device: str = "fake:0", command: tuple[str, ...] = (), **variables: str
-    ) -> None:
-        command = command or (sys.executable, str(FAKE))
-        words = [self.address, name, str(self.folder / f"cache-{name}"), device, *command]
-        self._start(name, [sys.executable, "-c", _WORKER, *words], FAKE_DEVICES=device, **variables)
+    def add_worker(self, name: str, command: tuple[str, ...] = (), **variables: str) -> None:
+        cache = str(self.folder / f"cache-{name}")
+        words = [self.address, name, cache, self._device, *(command or self._command)]
+        self._start(name, [sys.executable, "-c", _WORKER, *words], **{**self._variables, **variables})
 
     def wait_for(self, *names: str) -> None:
         self.wait_until(lambda: set(names) <= self.up(), f"workers {names} have joined")
@@ -110,6 +130,13 @@ class Farm:
     def worker_pid(self, name: str) -> int:
         """The Dask worker's process, a child of the one that keeps it up."""
         return children(self.processes[name].pid)[0]
+
+    def device_pid(self, name: str) -> int | None:
+        """The process that drives a worker's device; None while there is none."""
+        with contextlib.suppress(OSError, IndexError):
+            pids = children(self.worker_pid(name))
+            return next((pid for pid in pids if self.process_runs(pid, "device_process")), None)
+        return None
 
     @staticmethod
     def process_runs(pid: int, what: str) -> bool:
@@ -147,7 +174,9 @@ class Farm:
 
 
 def children(pid: int) -> list[int]:
-    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    """Of all threads of a process."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(word) for task in tasks for word in (task / "children").read_text().split()]
 
 
 @pytest.fixture(scope="session")
@@ -218,27 +247,30 @@ def undisturbed(local_run: Any, tmp_path_factory: pytest.TempPathFactory) -> dic
 
 
 class Service:
-    """`python -m penumbra_service` on a farm."""
+    """`python -m penumbra_service` on a farm, or with no scheduler on this machine's devices."""
 
-    def __init__(self, folder: Path, scheduler: str, database: str = "") -> None:
+    def __init__(self, folder: Path, scheduler: str = "", database: str = "", **variables: str) -> None:
         self._environment = {
             **os.environ,
             "PENUMBRA_DATA": str(folder),
             "PENUMBRA_PORT": "0",
             "PENUMBRA_SCHEDULER": scheduler,
             "PENUMBRA_DATABASE_URL": database,
+            **variables,
         }
+        self.log = folder.with_name(f"{folder.name}.log")
         self.process: subprocess.Popen[str] | None = None
         self._url = ""
 
     def start(self) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "penumbra_service"],
-            env=self._environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "penumbra_service"],
+                env=self._environment,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+            )
         assert self.process.stdout is not None
         for line in self.process.stdout:
             found = re.search(r"listens on (\S+)", line)
@@ -268,14 +300,42 @@ class Service:
         return str(answer.json()["id"])
 
     def wait(self, job: str, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        end = time.monotonic() + 120
+        end = time.monotonic() + PATIENCE
         while True:
-            status: dict[str, Any] = self.get(f"/v1/jobs/{job}").json()
-            if holds(status):
+            status = self.status(job)
+            if status is not None and holds(status):
                 return status
-            assert status["state"] not in ("failed", "cancelled"), status["problem"]
-            assert time.monotonic() < end
+            if status is not None:
+                assert status["state"] not in ("failed", "cancelled"), status["problem"]
+            assert time.monotonic() < end, self.log.read_text()[-5000:]
             time.sleep(0.1)
+
+    def status(self, job: str) -> dict[str, Any] | None:
+        """None where the request meets the very fault that a test has made."""
+        answer = httpx.get(f"{self._url}/v1/jobs/{job}", timeout=60)
+        found: dict[str, Any] = answer.json()
+        return found if answer.status_code == 200 else None
+
+    def done(self, job: str) -> None:
+        """Waits until a job is."""
+        self.wait(job, lambda status: status["state"] == "done")
+
+    def receipts(self, job: str, frames: tuple[int, ...] = ()) -> list[dict[str, Any]]:
+        """Of a job, or of each of its frames."""
+        return [self.get(f"/v1/jobs/{job}/{name}").json() for name in _files("receipt.json", frames)]
+
+    def channels(self, job: str, frames: tuple[int, ...] = ()) -> dict[str, str]:
+        """A digest of every channel of every EXR of a job, by file and name."""
+        found = {}
+        for name in _files("result.exr", frames):
+            with tempfile.TemporaryDirectory() as folder:
+                digests = _channels(self.get(f"/v1/jobs/{job}/{name}").content, Path(folder))
+            found |= {f"{name} {channel}": digest for channel, digest in digests.items()}
+        return found
+
+
+def _files(name: str, frames: tuple[int, ...]) -> list[str]:
+    return [f"frames/{frame}/{name}" for frame in frames] or [name]
 
 
 @pytest.fixture
@@ -304,3 +364,64 @@ def _channels(data: bytes, folder: Path) -> dict[str, str]:
 def channels() -> Callable[[bytes, Path], dict[str, str]]:
     """channels(exr, folder): a digest of every channel of an EXR file's bytes, by name; `folder` is written to."""
     return _channels
+
+
+# PoCL: real devices. Cornell's box in three kinds of jobs.
+
+
+@pytest.fixture(scope="session")
+def jobs() -> dict[str, tuple[dict[str, Any], tuple[int, ...]]]:
+    """Kinds of jobs: what is submitted, and the frames that it has."""
+    scene = json.loads((ROOT / "examples" / "cornell.json").read_text())
+    scene |= {"film": {"width": 128, "height": 128}, "stop": {"samples": 512}}
+    turning = [{"time": 0.0, "transform": []}, {"time": 1.0, "transform": [{"translate": [0.5, 0, 0]}]}]
+    moving = json.loads(json.dumps(scene))
+    moving["shapes"][-1]["transform"] = {"keyframes": turning}
+    moving["stop"] = {"samples": 128}
+    adaptive = {**scene, "adaptive": {"strategy": "error", "mode": "certified"}}
+    return {
+        "still": (scene, ()),
+        "adaptive": (adaptive, ()),
+        "frames": ({"scene": moving, "frames": "0-8x4", "fps": 8}, (0, 4, 8)),
+    }
+
+
+@pytest.fixture(scope="session")
+def pocl_farm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Farm]:
+    """A scheduler and two workers, one and two, each of which has PoCL on one thread."""
+    farm = Farm(tmp_path_factory.mktemp("pocl"), POCL, DEVICE_COMMAND, POCL_MAX_PTHREAD_COUNT="1")
+    try:
+        for name in ("one", "two"):
+            farm.add_worker(name)
+        yield farm
+    finally:
+        farm.close()
+
+
+@pytest.fixture(scope="session")
+def pocl_undisturbed(jobs: Any, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
+    """The channels of every kind of job, from a service on this machine's device."""
+    folder = tmp_path_factory.mktemp("local") / "data"
+    service = Service(folder, PENUMBRA_DEVICES=POCL, POCL_MAX_PTHREAD_COUNT="2")
+    service.start()
+    found = {}
+    for kind, (document, frames) in jobs.items():
+        job = service.submit(document)
+        service.done(job)
+        found[kind] = service.channels(job, frames)
+    service.stop()
+    return found
+
+
+@pytest.fixture
+def pocl_service(pocl_farm: Any, tmp_path: Path) -> Iterator[Service]:
+    service = Service(tmp_path / "data", pocl_farm.address)
+    service.start()
+    yield service
+    service.stop()
+
+
+@pytest.fixture(scope="session")
+def make_service() -> type[Service]:
+    """make_service(folder, scheduler, database, **variables)"""
+    return Service

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from penumbra_service.app import create_app
 from penumbra_service.engine.local import LocalEngine
 from penumbra_service.local_runner import LocalRunner
 from penumbra_service.settings import Settings
-from sqlalchemy import create_engine, text
 
 FAKE = Path(__file__).parent / "engine" / "fake_device.py"
 SCENE: dict[str, Any] = {
@@ -35,19 +34,6 @@ def client(postgres_url: str, tmp_path: Path) -> Iterator[TestClient]:
     runner = LocalRunner(settings, LocalEngine(command=(sys.executable, str(FAKE))))
     with TestClient(create_app(settings, runner), base_url="http://127.0.0.1") as client:
         yield client
-
-
-def _drop_connections(url: str) -> int:
-    """End every other connection to the database, as a restart of the server or a firewall does."""
-    engine = create_engine(url)
-    with engine.connect() as connection:
-        query = (
-            "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
-            "WHERE datname = current_database() AND pid <> pg_backend_pid()"
-        )
-        dropped = len(connection.execute(text(query)).all())
-    engine.dispose()
-    return dropped
 
 
 def _wait(client: TestClient, job: str, wanted: Any) -> dict[str, Any]:
@@ -78,12 +64,14 @@ def _picture(client: TestClient, job: str, folder: Path) -> dict[str, bytes]:
     return channels
 
 
-def test_a_job_survives_dropped_connections(client: TestClient, postgres_url: str, tmp_path: Path) -> None:
+def test_a_job_survives_dropped_connections(
+    client: TestClient, postgres_url: str, drop_connections: Callable[[str], int], tmp_path: Path
+) -> None:
     plain = client.post("/v1/jobs", json={**SCENE, "name": "plain"}).json()["id"]
     _wait(client, plain, lambda status: status["state"] == "done")
     job = client.post("/v1/jobs", json=SCENE).json()["id"]
     for share in (0.1, 0.4, 0.7):
         _wait(client, job, lambda status, share=share: status["progress"] > share)
-        assert _drop_connections(postgres_url) > 0
+        assert drop_connections(postgres_url) > 0
     _wait(client, job, lambda status: status["state"] == "done")
     assert _picture(client, job, tmp_path) == _picture(client, plain, tmp_path)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 import structlog
 from penumbra_service import logs
+from penumbra_service.settings import SettingsError
 
 
 @pytest.fixture(autouse=True)
@@ -35,6 +36,18 @@ def lines(form: str) -> list[str]:
     log.info("alone")
     log.debug("unseen")
     return stream.getvalue().splitlines()
+
+
+def test_workers_and_schedulers_log_as_the_environment_says(capsys: pytest.CaptureFixture[str]) -> None:
+    logs.configure_from(
+        {"PENUMBRA_LOG_FORMAT": "json", "PENUMBRA_LOG_LEVEL": "warning", "PENUMBRA_DATA": "/x"}
+    )
+    logging.getLogger("penumbra_service.x").info("unseen")
+    logging.getLogger("penumbra_service.x").warning("lost", extra={"job": "J1", "lease": "J1/3"})
+    (line,) = capsys.readouterr().err.splitlines()
+    assert json.loads(line).items() >= {"event": "lost", "job": "J1", "lease": "J1/3"}.items()
+    with pytest.raises(SettingsError, match="log_format: given 'xml'"):
+        logs.configure_from({"PENUMBRA_LOG_FORMAT": "xml"})
 
 
 def test_json_is_one_object_a_line_with_job_and_lease() -> None:

@@ -22,23 +22,21 @@ from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.engine.launch import DEVICE_COMMAND, Child, start_first
 from penumbra_service.engine.protocol import (
-    NOBODY,
     DeviceDescription,
     Devices,
     FromDevice,
     Hello,
     LeaseFailure,
-    LeaseLost,
     LeaseResult,
     LeaseSource,
-    NoDevice,
     SceneLoaded,
     Started,
     Waiting,
 )
 from penumbra_service.engine.slot import DeviceSlot
+from penumbra_service.engine.sources import LeaseSources
 from penumbra_service.engine.status import device_status
-from penumbra_service.jobs.dispatch import IN_FLIGHT, Dispatcher
+from penumbra_service.jobs.dispatch import IN_FLIGHT
 
 log = logging.getLogger(__name__)
 
@@ -91,8 +89,8 @@ class LocalEngine:
         self._command = tuple(command)
         self._first = first
         self._slots: list[DeviceSlot] = []
-        self._dispatcher: Dispatcher[LeaseSource] = Dispatcher()
-        self._lock = threading.Lock()
+        self._sources = LeaseSources()
+        self._waking = threading.Lock()
         self._wake_reader, self._wake_writer = Pipe(duplex=False)
         self._thread: threading.Thread | None = None
         self._stopping = False
@@ -123,19 +121,17 @@ class LocalEngine:
     def attach(self, source: LeaseSource) -> None:
         """Start to ask a job for leases. Where there is no device, it hears of it as soon as that is
         known."""
-        with self._lock:
-            self._dispatcher.attach(source)
+        self._sources.attach(source)
         self.wake()
 
     def detach(self, source: LeaseSource) -> None:
         """Ask it no more; answers to its leases are thrown away."""
-        with self._lock:
-            self._dispatcher.detach(source)
+        self._sources.detach(source)
 
     def wake(self) -> None:
         """Jobs may have new leases."""
         if self._thread is not None and self._thread.is_alive():
-            with self._lock:
+            with self._waking:
                 self._wake_writer.send_bytes(b".")
 
     def wait_known(self, timeout: float | None = None) -> list[DeviceDescription]:
@@ -170,7 +166,7 @@ class LocalEngine:
         except Exception:
             log.exception("the engine's thread ended")
             self._problem = "the engine failed; its log says why"
-            self._give_up(self._problem)
+            self._sources.give_up(self._problem)
         finally:
             self._known.set()
             if self._first is not None:
@@ -229,20 +225,12 @@ class LocalEngine:
                     slot.start_at = now + 5.0
                     slot.last_reason = f"the process of device {slot.description.id} cannot start: {error}"
 
-    def _ordered(self, device: str = "") -> list[LeaseSource]:
-        with self._lock:
-            return self._dispatcher.order(device)
-
-    def _attached(self, source: LeaseSource) -> bool:
-        with self._lock:
-            return source in self._dispatcher
-
     def _feed(self) -> None:
-        with self._lock:
-            if not len(self._dispatcher):
-                return
+        if not len(self._sources):
+            return
         if all(slot.lost for slot in self._slots):
-            self._give_up(self._problem or "; ".join(slot.last_reason for slot in self._slots))
+            reasons = "; ".join(slot.last_reason for slot in self._slots)
+            self._sources.give_up(self._problem or reasons)
             return
         # One lease each in turn, so that the last ones spread over the devices.
         for _ in range(IN_FLIGHT):
@@ -251,24 +239,13 @@ class LocalEngine:
                     self._feed_one(slot)
 
     def _feed_one(self, slot: DeviceSlot) -> None:
-        for source in self._ordered(slot.description.id):
-            if slot.awaits(source.scene):
-                continue
-            lease = source.next_lease(slot.description)
-            if lease is None:
-                continue
-            with self._lock:
-                self._dispatcher.gave(slot.description.id, source)
-            try:
-                slot.send(lease, source)
-            except OSError:
-                self._ended(slot)
+        held = self._sources.take(slot.description, slot.awaits)
+        if held is None:
             return
-
-    def _give_up(self, reason: str) -> None:
-        for source in self._ordered():
-            self.detach(source)
-            source.deliver(NOBODY, NoDevice(reason))
+        try:
+            slot.send(held)
+        except OSError:
+            self._ended(slot)
 
     def _listen(self) -> None:
         by_connection = {slot.connection: slot for slot in self._slots if slot.connection is not None}
@@ -301,15 +278,14 @@ class LocalEngine:
             case SceneLoaded():
                 held = slot.held.get(slot.running or "")
                 slot.loaded()
-                if held is not None and self._attached(held.source):
-                    held.source.deliver(slot.description, message)
+                if held is not None:
+                    self._sources.deliver(held.source, slot.description, message)
             case LeaseResult(lease) | LeaseFailure(lease):
                 held = slot.answered(lease)
                 if held is not None:
                     if isinstance(message, LeaseResult):
                         slot.rate.measure(message)
-                    if self._attached(held.source):
-                        held.source.deliver(slot.description, message)
+                    self._sources.answer(held, slot.description, message)
             case _:
                 pass
 
@@ -323,15 +299,10 @@ class LocalEngine:
         """A device's process is gone, or hangs: its leases go back, and another process will start."""
         running = slot.running
         why = slot.end(reason)
-        log.warning("%s", why)
-        with self._lock:
-            self._dispatcher.forget(slot.description.id)
-        held = dict(slot.held)
+        log.warning("%s", why, extra={"device": slot.description.id})
+        held = list(slot.held.values())
         slot.held.clear()
-        for lease_id, entry in held.items():
-            if self._attached(entry.source):
-                lost = LeaseLost(lease_id, slot.description.id, lease_id == running, why)
-                entry.source.deliver(slot.description, lost)
+        self._sources.lose(held, slot.description, why, blamed=running)
 
 
 def _status(slot: DeviceSlot) -> DeviceStatus:

@@ -9,15 +9,15 @@ import subprocess
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Final
 
 from penumbra_scene.job import DeviceState
 
 from penumbra_service.engine.launch import Child, start_child
-from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseSource
+from penumbra_service.engine.protocol import DeviceDescription
 from penumbra_service.engine.rate import RunningRate
+from penumbra_service.engine.sources import Held
 
 log = logging.getLogger(__name__)
 
@@ -30,14 +30,6 @@ START_ATTEMPTS: Final = 3
 """Processes in a row that may end before they say Hello, until the device counts as lost."""
 RETRY_SECONDS: Final = (0.0, 1.0, 5.0, 60.0)
 """Waits before start attempt 1, 2, 3 in a row, and all later ones."""
-
-
-@dataclass
-class Held:
-    """A lease that a device has."""
-
-    lease: Lease
-    source: LeaseSource
 
 
 class DeviceSlot:
@@ -96,13 +88,13 @@ class DeviceSlot:
         self.process, self.connection = child.process, child.connection
         self.deadline = time.monotonic() + START_SECONDS
 
-    def send(self, lease: Lease, source: LeaseSource) -> None:
+    def send(self, held: Held) -> None:
         """Hand over a lease. Raises OSError where the process is gone."""
         assert self.connection is not None
-        self.held[lease.id] = Held(lease, source)
+        self.held[held.lease.id] = held
         if self.deadline is None:
-            self._allow(lease.id, SCENE_SECONDS)
-        self.connection.send(lease)
+            self._allow(held.lease.id, SCENE_SECONDS)
+        self.connection.send(held.lease)
 
     def greeted(self, description: DeviceDescription) -> None:
         """The process has opened its device."""

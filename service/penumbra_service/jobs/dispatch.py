@@ -63,36 +63,43 @@ class Dispatcher(Generic[S]):
     """Who wants leases, and what devices have loaded. Not thread-safe: its owner holds a lock."""
 
     def __init__(self) -> None:
-        self._arrivals: dict[S, int] = {}
+        self._frames: dict[str, dict[S, int]] = {}
+        """By job its sources, oldest first, and when each came."""
+        self._sources: set[S] = set()
         self._arrived = 0
         self._loaded: dict[str, OrderedDict[str, None]] = {}
 
     def attach(self, source: S) -> None:
         """It wants leases from now on, after all that came before."""
-        self._arrivals.setdefault(source, self._arrived)
+        self._sources.add(source)
+        self._frames.setdefault(source.job, {}).setdefault(source, self._arrived)
         self._arrived += 1
 
     def detach(self, source: S) -> None:
         """It wants none any more."""
-        self._arrivals.pop(source, None)
+        if source in self._sources:
+            self._sources.remove(source)
+            frames = self._frames[source.job]
+            del frames[source]
+            if not frames:
+                del self._frames[source.job]
 
     def __contains__(self, source: S) -> bool:
-        return source in self._arrivals
+        return source in self._sources
 
     def __len__(self) -> int:
-        return len(self._arrivals)
+        return len(self._sources)
 
     def order(self, device: str = "") -> list[S]:
         """All sources, in the order in which `device` should ask them."""
-        if len(self._arrivals) < 2:
-            return list(self._arrivals)
+        if len(self._sources) < 2:
+            return list(self._sources)
         loaded: Collection[str] = self._loaded.get(device, ())
-        ranks = self._job_ranks(loaded)
-
-        def rank(source: S) -> tuple[tuple[float, float, int], bool, int]:
-            return ranks[source.job], source.scene not in loaded, self._arrivals[source]
-
-        return sorted(self._arrivals, key=rank)
+        ordered: list[S] = []
+        for *_, at_hand, frames in sorted(self._rank(frames, loaded) for frames in self._frames.values()):
+            # Sorting is stable: those that are loaded, then the others, each in the order in which they came.
+            ordered += sorted(frames, key=lambda s: s.scene not in loaded) if at_hand else frames
+        return ordered
 
     def gave(self, device: str, source: S) -> None:
         """The device has a lease of this source, and so loads its scene, if it has to."""
@@ -106,17 +113,12 @@ class Dispatcher(Generic[S]):
         """The device's process has ended: nothing is loaded any more."""
         self._loaded.pop(device, None)
 
-    def _job_ranks(self, loaded: Collection[str]) -> dict[str, tuple[float, float, int]]:
-        """By job (-priority, -gain, arrival), the least first. A job gains what its oldest frame does."""
-        heads: dict[str, S] = {}
-        for source in self._arrivals:
-            heads.setdefault(source.job, source)
-        at_hand = {source.job for source in self._arrivals if source.scene in loaded}
-        return {
-            job: (
-                -head.priority,
-                -head.gain * (AFFINITY if job in at_hand else 1.0),
-                self._arrivals[head],
-            )
-            for job, head in heads.items()
-        }
+    def _rank(
+        self, frames: dict[S, int], loaded: Collection[str]
+    ) -> tuple[int, float, int, bool, dict[S, int]]:
+        """A job's (-priority, -gain, arrival), the least first, which no two share; whether one of its scenes is loaded;
+        its frames. It gains what its oldest frame does."""
+        head = next(iter(frames))
+        at_hand = any(source.scene in loaded for source in frames)
+        gain = head.gain * (AFFINITY if at_hand else 1.0)
+        return -head.priority, -gain, frames[head], at_hand, frames

@@ -41,7 +41,7 @@ def lease_seconds(devices: int) -> float:
     return max(LEASE_SECONDS, devices / LEASES_PER_SECOND)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class WorkItem:
     """One sum node to be made."""
 
@@ -59,7 +59,7 @@ class WorkItem:
         return WorkItem(self.tile, self.first, half), WorkItem(self.tile, self.first + half, half)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class PlannedLease:
     """Work for one device."""
 
@@ -139,20 +139,20 @@ class LeasePlanner:
         items: list[WorkItem] = []
         samples = size = 0
         while self._ready and len(items) < MAX_LEASE_ITEMS:
-            item = self._pop()
-            while not items and item.count > 1 and self.samples_of(item) > budget:
-                item = self._split(item)
-            if items and (
-                samples + self.samples_of(item) > budget or size + self._bytes(item) > MAX_LEASE_BYTES
-            ):
-                self._push_front(item)
+            if not items:
+                self._split_first(budget)
+            item = self._ready[0]
+            more, room = self.samples_of(item), self._bytes(item)
+            if items and (samples + more > budget or size + room > MAX_LEASE_BYTES):
                 break
+            self._ready.popleft()
             items.append(item)
-            samples += self.samples_of(item)
-            size += self._bytes(item)
+            samples += more
+            size += room
         if not items:
             return None
-        attempt = 1 + max(self._attempts.get(item, 0) for item in items)
+        self._ready_samples -= samples
+        attempt = 1 + max(self._attempts.get(item, 0) for item in items) if self._attempts else 1
         lease = PlannedLease(self._next, tuple(items), samples, attempt)
         self._next += 1
         self._out[lease.number] = lease
@@ -198,10 +198,10 @@ class LeasePlanner:
         return lease.samples / rate if rate else None
 
     def _budget(self, device: str) -> int:
-        rate = self._rates.get(device, _Rate())
-        most = rate.largest * MAX_GROWTH
+        rate = self._rates.get(device)
+        most = rate.largest * MAX_GROWTH if rate else FIRST_LEASE_SAMPLES
         least = FIRST_LEASE_SAMPLES // MAX_GROWTH
-        if rate.samples_per_second is not None:
+        if rate is not None and rate.samples_per_second is not None:
             seconds = lease_seconds(self.devices)
             most = min(most, int(rate.samples_per_second * seconds))
             longer = rate.samples_per_second * (seconds - LEASE_SECONDS)
@@ -209,23 +209,20 @@ class LeasePlanner:
         share = self.ready_samples // (2 * max(self.devices, 1))
         return max(min(most, share), least)
 
-    def _pop(self) -> WorkItem:
-        item = self._ready.popleft()
-        self._ready_samples -= self.samples_of(item)
-        return item
-
     def _push_front(self, item: WorkItem) -> None:
         self._ready.appendleft(item)
         self._ready_samples += self.samples_of(item)
 
-    def _split(self, item: WorkItem) -> WorkItem:
-        first, second = item.halves()
-        self._push_front(second)
-        if item in self._attempts:
-            self._attempts[first] = self._attempts[second] = self._attempts.pop(item)
-        if item in self._failed_on:
-            self._failed_on[first] = self._failed_on[second] = self._failed_on.pop(item)
-        return first
+    def _split_first(self, budget: int) -> None:
+        """Halve the first item that waits until it fits, or cannot be halved."""
+        while self._ready[0].count > 1 and self.samples_of(self._ready[0]) > budget:
+            item = self._ready.popleft()
+            first, second = item.halves()
+            self._ready.extendleft((second, first))
+            if item in self._attempts:
+                self._attempts[first] = self._attempts[second] = self._attempts.pop(item)
+            if item in self._failed_on:
+                self._failed_on[first] = self._failed_on[second] = self._failed_on.pop(item)
 
     def _bytes(self, item: WorkItem) -> int:
         # Nodes of up to FLOAT32_SAMPLES are smaller; layers may be absent: this is the bound.

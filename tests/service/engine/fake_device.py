@@ -48,7 +48,7 @@ class FakeScene:
     build_seconds = 0.01
     compile_seconds = 0.02
     compile_warm = False
-    effects = (("lens", False, "nothing uses it"), ("gloss", True, "a test says so"))
+    effects = (("lens", False, "nothing uses it", None), ("gloss", True, "a test says so", "/materials/a"))
     program_hash = "0" * 64
 
     def __init__(self, scene: Scene, spec: RenderSpec) -> None:

@@ -137,13 +137,20 @@ def _wait_for(condition, seconds=20.0):  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize("where", ["crash-load", "crash-trace"])
-def test_three_crashes_fail_the_job_and_leave_the_engine_up(fake_engine, make_task, where):  # type: ignore[no-untyped-def]
+def test_three_crashes_fail_the_job_and_leave_the_engine_up(fake_engine, make_task, where, caplog):  # type: ignore[no-untyped-def]
     engine = fake_engine()
     result = JobRunner(engine, make_task(name=where)).run()
     assert result.state is JobState.FAILED
     assert result.failure.kind == "crash"
     assert "SIGABRT" in result.failure.message
     assert result.record.crashes == 3
+    told = [
+        r
+        for r in caplog.records
+        if r.getMessage().startswith("a lease is lost: the process of device fake:0")
+    ]
+    assert len(told) >= 3
+    assert all((r.job, r.device) == ("job", "fake:0") and r.lease.startswith("job/") for r in told)
     if where == "crash-load":
         assert "the driver says goodbye" in result.failure.message
     after = JobRunner(engine, make_task(folder="after")).run()

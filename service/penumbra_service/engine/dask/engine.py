@@ -17,7 +17,6 @@ import threading
 import time
 import uuid
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,18 +36,16 @@ from penumbra_service.engine.dask.wire import (
     publish,
 )
 from penumbra_service.engine.protocol import (
-    NOBODY,
     DeviceDescription,
     LeaseFailure,
     LeaseLost,
     LeaseResult,
     LeaseSource,
-    NoDevice,
     RenderSpec,
-    ToJob,
 )
 from penumbra_service.engine.snapshot import kernel_hash
-from penumbra_service.jobs.dispatch import IN_FLIGHT, Dispatcher
+from penumbra_service.engine.sources import LeaseSources
+from penumbra_service.jobs.dispatch import IN_FLIGHT
 from penumbra_service.store.contents import ContentStore
 
 log = logging.getLogger(__name__)
@@ -72,8 +69,7 @@ class DaskEngine:
         self._contents_url = contents
         self._contents = ContentStore(contents)
         self._topic = f"penumbra-{uuid.uuid4().hex}"
-        self._dispatcher: Dispatcher[LeaseSource] = Dispatcher()
-        self._lock = threading.Lock()
+        self._sources = LeaseSources()
         self._devices: dict[str, RemoteDevice] = {}
         self._joining: set[str] = set()
         self._published: dict[str, asyncio.Task[Contents]] = {}
@@ -109,14 +105,12 @@ class DaskEngine:
 
     def attach(self, source: LeaseSource) -> None:
         """Start to ask a job for leases."""
-        with self._lock:
-            self._dispatcher.attach(source)
+        self._sources.attach(source)
         self.wake()
 
     def detach(self, source: LeaseSource) -> None:
         """Ask it no more; answers to its leases are thrown away."""
-        with self._lock:
-            self._dispatcher.detach(source)
+        self._sources.detach(source)
 
     def wake(self) -> None:
         """Jobs may have new leases."""
@@ -148,9 +142,7 @@ class DaskEngine:
         except Exception:
             log.exception("the farm engine's thread ended")
             self._failed = "the engine failed; its log says why"
-            for source in self._sources():
-                self.detach(source)
-                source.deliver(NOBODY, NoDevice(self._failed))
+            self._sources.give_up(self._failed)
 
     async def _stay_connected(self) -> None:
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
@@ -240,20 +232,13 @@ class DaskEngine:
                     self._feed_one(client, device)
 
     def _feed_one(self, client: Client, device: RemoteDevice) -> None:
-        name = device.description.id
-        with self._lock:
-            sources = self._dispatcher.order(name)
-        for source in sources:
-            lease = source.next_lease(device.description)
-            if lease is None:
-                continue
-            with self._lock:
-                self._dispatcher.gave(name, source)
-            if not device.held:
-                device.hear()  # silence counts from now on
-            carried = device.held[lease.id] = Carried(lease, source)
-            carried.task = self._spawn(self._carry(client, device, carried))
+        held = self._sources.take(device.description)
+        if held is None:
             return
+        if not device.held:
+            device.hear()  # silence counts from now on
+        carried = device.held[held.lease.id] = Carried(held.lease, held.source)
+        carried.task = self._spawn(self._carry(client, device, carried))
 
     async def _carry(self, client: Client, device: RemoteDevice, carried: Carried) -> None:
         """Take a lease to its worker and the answer to its job."""
@@ -300,8 +285,8 @@ class DaskEngine:
             return
         device.hear()
         source = next((c.source for c in device.held.values() if c.lease.job == loaded.job), None)
-        if source is not None and self._attached(source):
-            source.deliver(device.description, loaded)
+        if source is not None:
+            self._sources.deliver(source, device.description, loaded)
 
     def _answered(self, device: RemoteDevice, answer: Answer) -> None:
         device.hear()
@@ -309,27 +294,15 @@ class DaskEngine:
         self.wake()
         if carried is None:
             return
+        if isinstance(answer, LeaseLost):
+            device.crashes += answer.blamed
+            blamed = answer.lease if answer.blamed else None
+            self._sources.lose([carried], device.description, answer.reason, blamed)
+            return
         if isinstance(answer, LeaseResult):
             device.leases_done += 1
             device.rate.measure(answer)
-        if isinstance(answer, LeaseLost):
-            device.crashes += answer.blamed
-            answer = replace(answer, device=device.description.id)
-            with self._lock:
-                self._dispatcher.forget(device.description.id)
-        self._deliver(device, carried.source, answer)
-
-    def _deliver(self, device: RemoteDevice, source: LeaseSource, event: ToJob) -> None:
-        if self._attached(source):
-            source.deliver(device.description, event)
-
-    def _sources(self) -> list[LeaseSource]:
-        with self._lock:
-            return self._dispatcher.order()
-
-    def _attached(self, source: LeaseSource) -> bool:
-        with self._lock:
-            return source in self._dispatcher
+        self._sources.answer(carried, device.description, answer)
 
     def _ping_quiet(self, client: Client) -> None:
         now = time.monotonic()
@@ -358,15 +331,12 @@ class DaskEngine:
             self._take_back(device, reason)
 
     def _take_back(self, device: RemoteDevice, reason: str) -> None:
-        with self._lock:
-            self._dispatcher.forget(device.description.id)
         held = list(device.held.values())
         device.held.clear()
         for carried in held:
             if carried.task is not None:
                 carried.task.cancel()
-            lost = LeaseLost(carried.lease.id, device.description.id, False, reason)
-            self._deliver(device, carried.source, lost)
+        self._sources.lose(held, device.description, reason)
 
     def _spawn(self, work: Any) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(work)

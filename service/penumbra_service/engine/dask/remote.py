@@ -10,8 +10,9 @@ from typing import Final
 
 from penumbra_scene.job import DeviceState, DeviceStatus
 
-from penumbra_service.engine.protocol import DeviceDescription, Lease, LeaseSource
+from penumbra_service.engine.protocol import DeviceDescription
 from penumbra_service.engine.rate import RunningRate
+from penumbra_service.engine.sources import Held
 from penumbra_service.engine.status import device_status
 
 QUIET_SECONDS: Final = 5.0
@@ -23,11 +24,9 @@ PINGS: Final = 2
 
 
 @dataclass
-class Carried:
+class Carried(Held):
     """A lease on its way to a worker and back."""
 
-    lease: Lease
-    source: LeaseSource
     task: asyncio.Task[None] | None = None
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Final
 import dask
 from distributed import Scheduler
 
+from penumbra_service import logs
 from penumbra_service.engine.dask.addresses import DEFAULT_PORT, security
 from penumbra_service.settings import SettingsError, is_loopback
 
@@ -49,7 +51,7 @@ def serve_scheduler(options: SchedulerOptions) -> None:
             "without TLS runs code on every worker; accepted: --tls FOLDER (`penumbra certs` makes it), or --host "
             "127.0.0.1"
         )
-    logging.basicConfig(level="INFO", format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    logs.configure_from(os.environ)
     logging.getLogger("distributed").setLevel("WARNING")
     dask.config.set({**CONFIG, "distributed.scheduler.worker-ttl": f"{options.worker_ttl} s"})
     asyncio.run(_serve(options))

@@ -87,5 +87,8 @@ def loaded_to_event(worker: str, loaded: SceneLoaded) -> dict[str, Any]:
 def loaded_from_event(message: dict[str, Any]) -> SceneLoaded:
     """Back from loaded_to_event. Raises KeyError, TypeError for anything else."""
     fields = dict(message["loaded"])
-    fields["effects"] = tuple((str(n), bool(p), str(why)) for n, p, why in fields["effects"])
+    fields["effects"] = tuple(
+        (str(name), bool(present), str(why), None if pointer is None else str(pointer))
+        for name, present, why, pointer in fields["effects"]
+    )
     return SceneLoaded(**fields)

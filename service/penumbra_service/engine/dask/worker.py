@@ -11,6 +11,7 @@ import argparse
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 import sys
 import tempfile
@@ -21,6 +22,7 @@ from typing import Final
 import dask
 from distributed import Worker
 
+from penumbra_service import logs
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.agent import Agent, set_agent
 from penumbra_service.engine.device_process import die_with
@@ -45,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.parent:
         die_with(options.parent)
-    logging.basicConfig(level="INFO", format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    logs.configure_from(os.environ)
     for name in ("distributed.core", "distributed.worker"):
         logging.getLogger(name).setLevel("WARNING")
     dask.config.set(CONFIG)
