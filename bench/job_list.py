@@ -13,6 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any, Final
+from unittest.mock import Mock
 
 from fastapi.testclient import TestClient
 from penumbra_scene.job import JobRequest
@@ -32,12 +33,12 @@ SCENE: Final[dict[str, Any]] = {
 
 def main(database_url: str = "") -> None:
     with tempfile.TemporaryDirectory() as folder:
-        app = create_app(Settings(data=Path(folder), database_url=database_url), Idle())
+        app = create_app(Settings(data=Path(folder), database_url=database_url), Mock())
         text = json.dumps({"scene": SCENE})
         progress = initial_progress(JobRequest.model_validate({"scene": SCENE}))
         for number in range(JOBS):
             app.state.service.jobs.create(NewJob(text, "d" * 64, f"job {number}", progress=progress))
-        client = TestClient(app, base_url="http://127.0.0.1")  # without its lifespan nothing is rendered
+        client = TestClient(app, base_url="http://127.0.0.1")  # without its lifespan the runner is not asked
         for limit in (50, JOBS):
             seconds, spent = [], []
             for _ in range(REPEATS):
@@ -51,24 +52,6 @@ def main(database_url: str = "") -> None:
             print(
                 f"{limit} of {JOBS} queued jobs: median {median:.1f} ms, best {best:.1f} ms, CPU {cpu:.1f} ms"
             )
-
-
-class Idle:
-    """Implements running.Runner; is never asked to run."""
-
-    problem: str | None = None
-
-    def start(self) -> None:
-        pass
-
-    def stop(self) -> None:
-        pass
-
-    def devices(self) -> list[Any]:
-        return []
-
-    def run(self, task: Any) -> Any:
-        raise AssertionError
 
 
 if __name__ == "__main__":

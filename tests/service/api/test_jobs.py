@@ -121,6 +121,31 @@ def test_the_list_comes_in_pages_newest_first(client: TestClient, scene: dict[st
     assert pages == 3
 
 
+def test_the_list_says_of_each_job_what_its_own_page_does(
+    client: TestClient, runner: Any, scene: dict[str, Any], wait_for: Any
+) -> None:
+    """Lists are written without models: all that their rows may hold must come out as models write it."""
+    asked = {"scene": scene, "frames": "1-9", "stop": {"samples": 64, "relative_error": 0.01}}
+    several = client.post("/v1/jobs", json=asked).json()["id"]
+    runner.let(3)
+    done = client.post("/v1/jobs", json={**scene, "name": 'Überraschung "1" \u2028'}).json()["id"]
+    runner.let(17)
+    wait_for(done, "done")
+    runner.fail = True
+    runner.let()
+    failed = client.post("/v1/jobs", json=scene).json()["id"]
+    wait_for(failed, "failed")
+    for _ in range(2):
+        client.post("/v1/jobs", json=scene)
+    answer = client.get("/v1/jobs")
+    items = JobPage.model_validate_json(answer.content).items
+    assert [item.id for item in items[2:]] == [failed, done, several]
+    for item, written in zip(items[1:], answer.json()["items"][1:], strict=True):
+        single = client.get(f"/v1/jobs/{item.id}").json()
+        assert written == {**single, "curve": []}
+        assert item.model_dump(mode="json") == written
+
+
 def test_the_list_filters_by_state(client: TestClient, scene: dict[str, Any]) -> None:
     ids = [client.post("/v1/jobs", json=scene).json()["id"] for _ in range(3)]
     client.post(f"/v1/jobs/{ids[2]}/cancel")
