@@ -125,6 +125,8 @@ class StopReason(StrEnum):
     RELATIVE_ERROR = "relative_error"
     CANCELLED = "cancelled"
     FAILED = "failed"
+    QUOTA = "quota"
+    """Its key has no device-seconds left: the job is paused, and goes on once the quota is raised and it is resumed."""
 
 
 class Interval(Model):
@@ -268,7 +270,7 @@ class JobStatus(Progress):
     sampler: str
     stop: Stop
     stop_reason: StopReason | None = None
-    """Set once the job has ended."""
+    """Set once the job has ended, or was paused for its key's quota."""
     problem: Problem | None = None
     """Why the job failed."""
     devices: tuple[str, ...] = ()

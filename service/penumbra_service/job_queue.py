@@ -34,6 +34,8 @@ from penumbra_service.watchers import Watchers
 
 log = logging.getLogger(__name__)
 
+TRACING: Final = (JobState.COMPILING, JobState.RENDERING)
+"""States in which devices are asked for."""
 ACTIVE: Final = (JobState.COMPILING, JobState.RENDERING, JobState.FINISHING)
 """States in which a runner has the job."""
 WAITING: Final = (JobState.QUEUED,)
@@ -58,7 +60,8 @@ class Held:
 
 
 class JobQueue:
-    """`request`: what a job asks for; `spent`: told of device-seconds as they are used."""
+    """`request`: what a job asks for; `spent`: told of device-seconds as they are used, says whether a job may use no
+    more."""
 
     def __init__(
         self,
@@ -69,7 +72,7 @@ class JobQueue:
         watchers: Watchers,
         runner: Runner,
         request: Callable[[str], JobRequest],
-        spent: Callable[[JobRow, float], None],
+        spent: Callable[[JobRow, float], bool],
     ) -> None:
         self._settings = settings
         self._jobs = jobs
@@ -275,6 +278,9 @@ class JobQueue:
 
     def _run(self, held: Held) -> None:
         row = held.row
+        if self._spent(row, 0.0):
+            self._pause_for_quota(held)
+            return
         self._watchers.ring(row.id)
         folder = self.work_folder(row.id)
         folder.mkdir(parents=True, exist_ok=True)
@@ -311,9 +317,17 @@ class JobQueue:
             moved = self._jobs.move(job_id, ACTIVE, state, holder=self._name, progress=progress)
             if moved is not None:
                 more = news.get("device_seconds", 0.0) - row.progress.get("device_seconds", 0.0)
-                if more > 0:
-                    self._spent(row, more)
+                if more > 0 and self._spent(row, more):
+                    self._pause_for_quota(held)
         if moved is not None:
+            self._watchers.ring(job_id)
+
+    def _pause_for_quota(self, held: Held) -> None:
+        """Its key has no device-seconds left: it stops with a snapshot, unless its picture is there already."""
+        job_id, why = held.row.id, StopReason.QUOTA
+        if self._jobs.move(job_id, TRACING, JobState.PAUSED, holder=self._name, reason=why) is not None:
+            log.info("job %s: paused, the quota of its key is used up", job_id)
+            held.control.halt(Halt.PAUSE)
             self._watchers.ring(job_id)
 
     def _show(self, held: Held) -> None:

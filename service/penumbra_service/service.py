@@ -122,17 +122,25 @@ class RenderService:
 
     def _check_room(self, job: NewJob) -> None:
         """Called for jobs that are new: a submission that is repeated finds its job whatever has become full."""
-        key = None if job.owner is None else self.keys.get(job.owner)
-        if key is not None and key.exhausted:
-            raise QuotaUsedError(key)
+        self._check_quota(job.owner)
         limit = self.settings.max_queued_jobs
         if self.jobs.count(WAITING) >= limit:
             raise QueueFullError(limit)
 
-    def _spent(self, row: JobRow, device_seconds: float) -> None:
+    def _check_quota(self, owner: str | None) -> None:
+        key = None if owner is None else self.keys.get(owner)
+        if key is not None and key.exhausted:
+            raise QuotaUsedError(key)
+
+    def _spent(self, row: JobRow, device_seconds: float) -> bool:
+        """Whether the job's key has no more."""
         self.device_seconds += device_seconds
-        if row.owner is not None:
+        if row.owner is None:
+            return False
+        if device_seconds > 0:
             self.keys.charge(row.owner, device_seconds)
+        key = self.keys.get(row.owner)
+        return key is not None and key.exhausted
 
     def quote(self, request: JobRequest) -> Quote:
         """What a job would cost on the devices at hand. One quote at a time: others wait for it.
@@ -179,12 +187,15 @@ class RenderService:
         return row
 
     def resume(self, job_id: str) -> JobRow:
-        """Puts a paused job back into the queue. Raises NoSuchJobError, ConflictError."""
-        row = self.jobs.move(job_id, (JobState.PAUSED,), JobState.QUEUED)
-        if row is None:
-            row = self.jobs.get(job_id)
-            if JobState(row.state).ended:
-                raise ConflictError(row, "resume", "paused")
+        """Puts a paused job back into the queue. Raises NoSuchJobError, ConflictError, QuotaUsedError."""
+        row = self.jobs.get(job_id)
+        if row.state == JobState.PAUSED:
+            self._check_quota(row.owner)
+        row = self.jobs.move(job_id, (JobState.PAUSED,), JobState.QUEUED, reason=None) or self.jobs.get(
+            job_id
+        )
+        if JobState(row.state).ended:
+            raise ConflictError(row, "resume", "paused")
         self.queue.changed(row)
         return row
 

@@ -145,7 +145,7 @@ def pause_job(request: Request, job_id: str) -> JobStatus:
     return job_status(service_of(request).pause(job_id))
 
 
-@router.post("/jobs/{job_id}/resume", responses=_ON_JOB)
+@router.post("/jobs/{job_id}/resume", responses={403: _PROBLEM, **_ON_JOB})
 def resume_job(request: Request, job_id: str) -> JobStatus:
-    """Go on with a paused job where it stopped."""
+    """Go on with a paused job where it stopped. One whose key has used up its quota stays paused (403)."""
     return job_status(service_of(request).resume(job_id))

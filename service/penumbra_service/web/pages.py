@@ -116,7 +116,8 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
     if status.shortfall is not None:
         facts.append(("Out of reach", status.shortfall.message))
     if status.stop_reason is not None and status.stop_reason in words.REASONS:
-        facts.append(("Ended because", words.REASONS[status.stop_reason]))
+        what = "Ended because" if status.state.ended else "Paused because"
+        facts.append((what, words.REASONS[status.stop_reason]))
     return tuple(facts)
 
 

@@ -16,6 +16,7 @@ REASONS: Final = {
     StopReason.RELATIVE_ERROR: "its error was low enough",
     StopReason.CANCELLED: "it was cancelled",
     StopReason.FAILED: "it failed",
+    StopReason.QUOTA: "its key has used up its device-seconds",
 }
 
 UNKNOWN: Final = "–"

@@ -43,7 +43,7 @@ def test_a_used_up_quota_refuses_new_jobs_and_says_what_was_used(
         service: RenderService = client.app.state.service  # type: ignore[attr-defined]
         token, key = service.keys.create("render-bot", quota_seconds=25.0)
         headers = {"Authorization": f"Bearer {token}"}
-        for used in (10.0, 20.0, 30.0):  # what was begun within the quota is finished
+        for used in (10.0, 20.0, 30.0):  # a picture that is there when the quota is used up is kept
             job = client.post("/v1/jobs", json=scene, headers=headers)
             assert job.status_code == 202
             path = f"/v1/jobs/{job.json()['id']}"
@@ -55,6 +55,37 @@ def test_a_used_up_quota_refuses_new_jobs_and_says_what_was_used(
         assert "'render-bot' has a quota of 25 device-seconds and has used 30.0" in refused.json()["detail"]
         service.keys.set_quota("render-bot", 100.0)
         assert client.post("/v1/jobs", json=scene, headers=headers).status_code == 202
+
+
+def test_a_job_that_uses_up_its_keys_quota_is_paused_and_goes_on_once_there_is_more(
+    settings: Settings, scene: dict[str, Any], until: Any
+) -> None:
+    runner = Waiting()
+    with TestClient(create_app(settings, runner), base_url="http://127.0.0.1") as client:
+        service: RenderService = client.app.state.service  # type: ignore[attr-defined]
+        token, _ = service.keys.create("render-bot", quota_seconds=12.0)
+        client.headers["Authorization"] = f"Bearer {token}"
+
+        def stands(job: str, state: str, reason: str | None) -> bool:
+            status = client.get(f"/v1/jobs/{job}").json()
+            return (status["state"], status["stop_reason"]) == (state, reason)
+
+        first, second = (client.post("/v1/jobs", json=scene).json()["id"] for _ in range(2))
+        until(lambda: first in runner.held)
+        assert stands(first, "rendering", None)
+        runner.held[first].report(JobState.RENDERING, {"device_seconds": 12.5})
+        until(lambda: stands(first, "paused", "quota") and stands(second, "paused", "quota"))
+        until(lambda: first not in runner.held)
+        assert runner.begun == [first]  # the other one came up with nothing left
+        assert service.work_folder(first).is_dir()  # where its snapshot lies
+        refused = client.post(f"/v1/jobs/{first}/resume")
+        assert (refused.status_code, refused.json()["type"][-11:]) == (403, ":quota-used")
+        assert stands(first, "paused", "quota")
+        assert "its key has used up its device-seconds" in client.get(f"/jobs/{first}").text
+        service.keys.set_quota("render-bot", 100.0)
+        assert client.post(f"/v1/jobs/{first}/resume").json()["stop_reason"] is None
+        runner.free |= {first}
+        until(lambda: stands(first, "done", "samples"))
 
 
 class Spender:
@@ -92,8 +123,10 @@ class Waiting(Spender):
     def __init__(self) -> None:
         self.held: dict[str, Task] = {}
         self.free: set[str] = set()
+        self.begun: list[str] = []
 
     def run(self, task: Task) -> Outcome:
+        self.begun.append(task.job_id)
         super().run(task)
         self.held[task.job_id] = task
         try:
@@ -124,7 +157,7 @@ def test_several_jobs_share_the_devices_and_the_least_urgent_makes_room(
         told: list[int] = []
         runner.held[middle].control.when_prioritized(told.append)
         client.patch(f"/v1/jobs/{middle}", json={"priority": 7})
-        until(lambda: told == [7])
+        until(lambda: told[-1:] == [7])  # it may have been told its first one as well
         runner.free |= {low, middle, urgent}
         for job in (low, middle, urgent):
             until(lambda job=job: client.get(f"/v1/jobs/{job}").json()["state"] == "done")
