@@ -80,6 +80,9 @@ def compile_scene(
     }
     params = _params(scene)
     params["camera"] = camera
+    if "indirect" not in features:
+        # The generic program, too, traces no ray that can find no light.
+        params["max_bounces"] = 0
     params["root"] = geometry.root
     params["plane_count"] = geometry.plane_count
     params["light_count"] = lights.light_count

@@ -34,6 +34,18 @@ COVERING = scenes.covering(EFFECTS)
 PAIRS = list(itertools.combinations(EFFECTS, 2)) if os.environ.get("PENUMBRA_ALL_PAIRS", "0") == "1" else []
 """`make pairs`: each pair in a scene of its own. The suite's COVERING has them all in few scenes."""
 
+DARK: dict[str, Any] = {
+    "version": 1,
+    "film": {"width": WIDTH, "height": HEIGHT},
+    "camera": {"type": "perspective", "transform": scenes.TOWARDS},
+    "materials": {"mirror": {"type": "mirror"}},
+    "shapes": [
+        {"type": "sphere", "center": [0.7, 1, 0], "radius": 0.8, "material": "mirror"},
+        scenes.quad(-1.5),
+    ],
+    "integrator": {"max_bounces": 8},
+}
+
 
 def nodes(device: Device, scene: Scene) -> list[SumNode]:
     compiled = compile_scene(scene, scenes.Sky())
@@ -83,6 +95,13 @@ def test_layers_change_no_bit_of_the_picture(device: Device) -> None:
     with_layers, _ = nodes(device, scenes.scene_with(everything))
     without, _ = nodes(device, scenes.scene_with(everything - {"layers"}))
     assert np.array_equal(with_layers.sums, without.sums)
+
+
+def test_without_a_light_no_program_looks_for_one(device: Device) -> None:
+    """A case that the search for random scenes found: the generic program followed mirrors into the dark."""
+    special, generic = nodes(device, Scene.model_validate(DARK))
+    assert special.sums.tobytes() == generic.sums.tobytes()
+    assert np.array_equal(generic.sums["rays"], generic.sums["taken"])
 
 
 def test_the_sets_cover_every_pair_in_all_four_ways() -> None:

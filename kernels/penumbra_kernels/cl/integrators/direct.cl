@@ -35,18 +35,13 @@ static inline float3 light_contribution(const SceneData *scene, const Surface *s
   return value * (weight / sample.pdf);
 }
 
-// Number of lights that can be asked, the environment included.
-static inline uint light_total(const SceneData *scene) {
-  return scene->light_count + (scene->environment_light != NONE ? 1u : 0u);
-}
-
 // Radiance that the lights send by way of this surface point towards the viewer.
 static inline float3 direct_light(const SceneData *scene, const __global Params *params, const Sampler *sampler,
                                   const Surface *surface, const Bsdf *bsdf, const Receiver *receiver, const uint bounce,
                                   const float time, const bool use_mis, uint *effects, uint *rays) {
   const uint picks = params->shadow_rays;
   float3 sum = (float3)(0.0f);
-  const uint total = light_total(scene);
+  const uint total = light_entries(scene);
   if (total == 0u) return sum;
   if (params->options & OPTION_ALL_LIGHTS) {
     for (uint light = 0; light < total; light++) {

@@ -136,7 +136,8 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
     const float2 u = bsdf_has_spread(&bsdf) ? sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION)) : (float2)(0.5f);
     if (!bsdf_sample(&bsdf, u_lobe, u, &wi, &weight, &lobe_pdf, &event)) break;
     delta = (event & BSDF_EVENT_DELTA) != 0u;
-    if (last && !delta) break;  // light samples had full weight here
+    // Light samples had full weight here; mirrors still look for lights, where there are any.
+    if (last && (!delta || light_entries(scene) == 0u)) break;
     beta *= weight;
     result.effects |= (event & BSDF_EVENT_TRANSMIT) ? EFFECT_TRANSMISSION : (delta ? EFFECT_GLOSS : EFFECT_DIFFUSE);
     const float throughput = beta.x + beta.y + beta.z;
