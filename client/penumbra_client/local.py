@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -53,7 +52,9 @@ class Engine(Protocol):
 
 def find_engine(command: str) -> Engine:
     """The engine that is installed. Raises ClientError where there is none."""
-    for point in metadata.entry_points(group=ENTRY_POINTS):
+    from penumbra_client.plugins import entry_points
+
+    for point in entry_points(ENTRY_POINTS):
         try:
             engine: Engine = point.load()
         except ImportError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -57,8 +58,14 @@ def assemble(entry: str, flags: Mapping[str, int], text: str | None = None) -> s
         if not re.fullmatch(r"PENUMBRA_[A-Z0-9_]+", key) or not isinstance(value, int):
             raise ValueError(f"flag {key}={value!r}: flags are PENUMBRA_* macros with integer values")
     prologue = "".join(f"#define {key} {int(value)}\n" for key, value in sorted(flags.items()))
-    body = text if text is not None else (CL_ROOT / entry).read_text()
-    return prologue + "#pragma OPENCL FP_CONTRACT OFF\n" + flatten(body, entry, {entry})
+    body = _entry(entry) if text is None else flatten(text, entry, {entry})
+    return prologue + "#pragma OPENCL FP_CONTRACT OFF\n" + body
+
+
+@cache
+def _entry(name: str) -> str:
+    """A file under cl/, flattened. Once: a program's text is asked for several times, by its key and to build it."""
+    return flatten((CL_ROOT / name).read_text(), name, {name})
 
 
 def source_hash(source: str) -> str:

@@ -91,9 +91,10 @@ def _configure_serve(parser: argparse.ArgumentParser) -> None:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    from penumbra_service.engine.launch import ids_of, start_first
+    from penumbra_service.engine.launch import be_frugal, ids_of, start_first
     from penumbra_service.settings import SettingsError
 
+    be_frugal()
     settings = _settings(
         host=arguments.host,
         port=arguments.port,
@@ -297,8 +298,9 @@ class LocalEngine:
     @contextmanager
     def ahead(self, devices: str) -> Iterator[None]:
         """Start the first device's process, for a render on these devices that will be asked for."""
-        from penumbra_service.engine.launch import ids_of, start_first
+        from penumbra_service.engine.launch import be_frugal, ids_of, start_first
 
+        be_frugal()
         with suppress(OSError):  # the render itself will tell
             self._first = start_first(ids_of(devices))
         try:

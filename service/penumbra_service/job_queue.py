@@ -17,12 +17,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
-import structlog
 from penumbra_scene.errors import Problem, make_problem
 from penumbra_scene.job import JobRequest, JobState, StopReason
 
 from penumbra_service import results
 from penumbra_service.frame_book import ServiceFrameBook
+from penumbra_service.log_context import bind
 from penumbra_service.running import Control, Halt, Outcome, Runner, Task
 from penumbra_service.settings import Settings
 from penumbra_service.store.artifacts import Artifacts
@@ -179,7 +179,7 @@ class JobQueue:
         if held is None:
             return
         row = held.row
-        with structlog.contextvars.bound_contextvars(job=row.id):
+        with bind(job=row.id):
             try:
                 self._run(held)
             except Exception as error:

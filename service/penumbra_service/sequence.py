@@ -14,10 +14,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
 
-import structlog
 from penumbra_scene.errors import TYPE_PREFIX, Problem, make_problem
 from penumbra_scene.job import JobState, StopReason
 
+from penumbra_service.log_context import bind, bound_fields
 from penumbra_service.running import Control, EndedFrame, FrameBook, Halt, Outcome
 
 MAX_FAILED: Final = 3
@@ -71,7 +71,7 @@ class FrameSequence:
         self._lock = threading.Lock()
         self._running: dict[int, Control] = {}
         self._halted: Halt | None = None
-        self._context = structlog.contextvars.get_contextvars()
+        self._context = bound_fields()
         """Of the log: threads of their own do not inherit it."""
         self._priority: int | None = None
         self._hopeless = False
@@ -121,7 +121,7 @@ class FrameSequence:
             show=lambda: self._book.show(frame),
         )
         try:
-            with structlog.contextvars.bound_contextvars(frame=frame, **self._context):
+            with bind(**self._context, frame=frame):
                 outcome = self._render(task)
         finally:
             with self._lock:

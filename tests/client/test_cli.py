@@ -366,7 +366,7 @@ def test_commands_whose_packages_are_missing_are_explained(
         def load(self) -> None:
             raise ImportError
 
-    monkeypatch.setattr("penumbra_client.cli._plugged_in", lambda: {"serve": Missing()})
+    monkeypatch.setattr("penumbra_client.plugins.entry_points", lambda group: iter([Missing()]))
     assert main(["serve"]) == Exit.USAGE
     assert "pip install 'penumbra-render[service,cpu]'" in capsys.readouterr().err
     assert "serve" not in make_parser(None).format_help().split("commands:")[1].split("environment:")[0]

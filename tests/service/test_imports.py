@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
+from penumbra_service.engine.launch import be_frugal
 
 HEAVY = (
     "numpy",
@@ -58,7 +60,11 @@ SIMPLE = (
         ),
         (
             "import penumbra_service.rendering",
-            {"scipy", "numba", "pyopencl", "trimesh", "fastapi", "sqlalchemy"},
+            {"scipy", "numba", "pyopencl", "trimesh", "fastapi", "sqlalchemy", "rich", "asyncio"},
+        ),
+        (
+            "from penumbra_client.cli.progress import ProgressView; ProgressView(quiet=True)",
+            {*HEAVY, "rich"},
         ),
     ],
     ids=[
@@ -68,7 +74,35 @@ SIMPLE = (
         "a simple scene",
         "the HTTP process",
         "a render without a service",
+        "progress that nobody sees",
     ],
 )
 def test_nothing_is_imported_that_is_not_needed_yet(code: str, unwanted: set[str]) -> None:
     assert not imported(code) & unwanted
+
+
+def test_our_own_commands_are_found_without_reading_all_that_is_installed() -> None:
+    code = (
+        "from importlib import metadata; metadata.entry_points = None; "
+        "from penumbra_client.cli import make_parser; make_parser('serve'); "
+        "from penumbra_client.local import find_engine; assert find_engine('render').render"
+    )
+    imported(code)  # which fails where that is called
+
+
+def test_a_devices_process_starts_no_threads_for_linear_algebra_and_looks_for_no_plugins() -> None:
+    code = (
+        "import os\nfrom penumbra_service.engine.launch import be_frugal\nbe_frugal()\n"
+        "import numpy, penumbra_scene.scene\nfrom pydantic.plugin import _loader\n"
+        "assert len(os.listdir('/proc/self/task')) == 1, os.listdir('/proc/self/task')\n"
+        "assert list(_loader.get_plugins()) == []\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("OPENBLAS", "PYDANTIC", "OMP"))}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
+def test_what_the_environment_says_of_threads_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    monkeypatch.setenv("PYDANTIC_DISABLE_PLUGINS", "0")  # so that the test leaves nothing behind
+    be_frugal()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "3"

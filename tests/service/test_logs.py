@@ -8,8 +8,8 @@ import logging
 from collections.abc import Iterator
 
 import pytest
-import structlog
 from penumbra_service import logs
+from penumbra_service.log_context import bind
 from penumbra_service.settings import SettingsError
 
 
@@ -26,7 +26,7 @@ def lines(form: str) -> list[str]:
     stream = io.StringIO()
     logs.configure("info", form, stream)
     log = logging.getLogger("penumbra_service.x")
-    with structlog.contextvars.bound_contextvars(job="J1", frame=7):
+    with bind(job="J1", frame=7):
         log.info("a %s", "message")
         log.warning("lost", extra={"lease": "J1/7/3", "device": "pocl:0"})
         try:

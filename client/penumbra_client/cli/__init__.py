@@ -7,13 +7,19 @@ found by the entry points `penumbra.commands`. Only the module of the command th
 from __future__ import annotations
 
 import argparse
+import atexit
+import contextlib
 import os
 import sys
+import threading
 from collections.abc import Sequence
-from importlib import import_module, metadata
-from typing import Any, Final, Protocol
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
 
 from penumbra_scene.exits import Exit
+
+if TYPE_CHECKING:  # what is installed is read only where a command needs it
+    from importlib.metadata import EntryPoint
 
 ENTRY_POINTS: Final = "penumbra.commands"
 
@@ -76,17 +82,39 @@ def _built_in(name: str) -> Command:
     return command
 
 
-def _plugged_in() -> dict[str, metadata.EntryPoint]:
-    return {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
+def _plugged_in(name: str) -> EntryPoint | None:
+    """The command of that name that a package adds."""
+    from penumbra_client.plugins import entry_point
+
+    return entry_point(ENTRY_POINTS, name)
 
 
-def _load(point: metadata.EntryPoint) -> Command | None:
+def _all_plugged_in() -> dict[str, EntryPoint]:
+    from penumbra_client.plugins import entry_points
+
+    return {point.name: point for point in entry_points(ENTRY_POINTS)}
+
+
+def _load(point: EntryPoint) -> Command | None:
     """The command, or None where the extra that it needs is not installed."""
     try:
         command: Command = point.load()
     except ImportError:
         return None
     return command
+
+
+class _Version(argparse.Action):
+    """Prints the version, which is looked up only then."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from penumbra_client.plugins import version
+
+        print(f"penumbra {version()}")
+        parser.exit()
 
 
 def _add(subparsers: Any, name: str, command: Command) -> None:
@@ -110,18 +138,19 @@ def make_parser(wanted: str | None) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument(
-        "--version", action="version", version=f"penumbra {metadata.version('penumbra-render')}"
-    )
+    parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, title="commands")
     if wanted in BUILT_IN:
         _add(subparsers, wanted, _built_in(wanted))
         return parser
-    points = _plugged_in()
-    for name in [wanted] if wanted in points else [*points, *BUILT_IN]:
-        command = _built_in(name) if name in BUILT_IN else _load(points[name])
+    point = None if wanted is None else _plugged_in(wanted)
+    points = _all_plugged_in() if point is None else {point.name: point}
+    for name, found in points.items():
+        command = _load(found)
         if command is not None:
             _add(subparsers, name, command)
+    for name in BUILT_IN if point is None else ():
+        _add(subparsers, name, _built_in(name))
     return parser
 
 
@@ -152,9 +181,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(code)
 
 
+def program() -> NoReturn:
+    """The program `penumbra`: main, and the end at once. To take an interpreter apart that holds libraries for numbers and
+    images takes some 50 ms, which whoever waits for a picture would wait for too."""
+    code = main()
+    if any(not thread.daemon and thread is not threading.main_thread() for thread in threading.enumerate()):
+        sys.exit(code)  # which waits for them
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
+
+
 def _missing_extra(name: str) -> str | None:
     """Why a command that exists cannot be used here, in words."""
-    point = _plugged_in().get(name)
+    point = _plugged_in(name)
     if point is None or _load(point) is not None:
         return None
     from penumbra_client.local import NEEDED

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from types import TracebackType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from penumbra_scene.job import JobState, ProgressEvent
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:  # only a terminal sees a bar
+    from rich.progress import Progress
 
 _LINE_STEP: Final = 0.25
 """Share of the work between two lines where there is no terminal."""
@@ -39,6 +40,15 @@ def _numbers(event: ProgressEvent) -> str:
     return ", ".join(words)
 
 
+def _bar() -> Progress:
+    """On standard error, with columns for state, share, time and numbers."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:10}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    return Progress(*columns, TextColumn("{task.fields[numbers]}"), console=Console(stderr=True))
+
+
 class ProgressView:
     """Use it in a `with` statement and call it with every event."""
 
@@ -49,13 +59,7 @@ class ProgressView:
         self._state: JobState | None = None
         self._warned = False
         if not quiet and sys.stderr.isatty():
-            columns = (
-                TextColumn("{task.description:10}"),
-                BarColumn(),
-                TaskProgressColumn(),
-                TimeElapsedColumn(),
-            )
-            self._bar = Progress(*columns, TextColumn("{task.fields[numbers]}"), console=Console(stderr=True))
+            self._bar = _bar()
             self._task = self._bar.add_task("queued", total=1.0, numbers="")
 
     def __enter__(self) -> ProgressView:

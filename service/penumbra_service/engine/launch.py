@@ -18,6 +18,9 @@ from multiprocessing.connection import Connection
 from typing import IO, Final
 
 DEVICE_COMMAND: Final = (sys.executable, "-m", "penumbra_service.engine.device_process")
+FRUGAL: Final = {"OPENBLAS_NUM_THREADS": "1", "PYDANTIC_DISABLE_PLUGINS": "1"}
+"""Environment of our processes, where it says nothing else: numpy's BLAS starts a thread for every core, which spins for
+some 40 ms, and nothing here multiplies large matrices; pydantic looks through all that is installed for plugins."""
 STDERR_TAIL: Final = 2000
 """Bytes of a dead process's last words that its reason quotes."""
 
@@ -46,6 +49,12 @@ class Child:
         self.words.close()
 
 
+def be_frugal() -> None:
+    """Take FRUGAL over: for a command, before it imports numpy or pydantic."""
+    for name, value in FRUGAL.items():
+        os.environ.setdefault(name, value)
+
+
 def start_child(command: Sequence[str], *arguments: str) -> Child:
     """Raises OSError where no process or descriptor is left."""
     ours, theirs = Pipe()
@@ -54,6 +63,7 @@ def start_child(command: Sequence[str], *arguments: str) -> Child:
         process = subprocess.Popen(
             [*command, *arguments, "--fd", str(theirs.fileno()), "--parent", str(os.getpid())],
             pass_fds=[theirs.fileno()],
+            env={**FRUGAL, **os.environ},
             stdin=subprocess.DEVNULL,
             stdout=words,
             stderr=words,

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 - its own documentation calls it so
 from numpy.typing import NDArray
 
 from penumbra_service.images.png import write_png
@@ -57,6 +56,8 @@ def quantize(display: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _aces(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    import OpenImageIO as oiio  # noqa: N813 - its own documentation calls it so
+
     source = oiio.ImageBuf(np.ascontiguousarray(linear))
     shown = oiio.ImageBufAlgo.ociodisplay(
         source, ACES_DISPLAY, ACES_VIEW, fromspace=ACES_FROM, colorconfig=ACES_CONFIG
