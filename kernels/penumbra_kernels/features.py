@@ -217,6 +217,11 @@ def _delta_lights(frame: Frame) -> Iterable[Use]:
         yield Use(path, f"is a {light.type} light")
 
 
+def _lights_to_meet(scene: Scene) -> bool:
+    """Whether some light has an extent, so that a ray can meet it."""
+    return lit_environment(scene) is not None or any(emits(shape) for _, shape in placed_shapes(scene))
+
+
 def _light_count(scene: Scene) -> int:
     """Lights that shine: every placed copy of an emitting prototype is one."""
     count = len(tuple(_shining(scene))) + (lit_environment(scene) is not None)
@@ -280,11 +285,14 @@ def _indirect(frame: Frame) -> Iterable[Use]:
     if _light_count(frame.scene) == 0:
         return
     bounces = frame.scene.integrator.max_bounces
+    meets = frame.scene.integrator.mis and _lights_to_meet(frame.scene)
     if bounces > 0 and _reflects(frame.scene):
         yield Use(("integrator", "max_bounces"), f"is {bounces}")
     for name, material in used_materials(frame.scene).items():
         if has_delta_lobe(material):
             yield Use(("materials", name), "shows lights in its mirror directions even without bounces")
+        elif meets and not isinstance(material, (Diffuse, DiffuseTransmission)):
+            yield Use(("materials", name), "has lobes that look for lights even without bounces")
 
 
 def _reflects(scene: Scene) -> bool:

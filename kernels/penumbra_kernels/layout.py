@@ -396,6 +396,7 @@ CONSTANTS: Final[dict[str, int]] = {
     "OPTION_ALL_LIGHTS": 1,  # every light at every hit, instead of picks
     "OPTION_NO_MIS": 2,
     "OPTION_LIGHT_TREE": 4,  # picks by the light tree, not by the table
+    "OPTION_LIGHTS_TO_MEET": 8,  # some light has an extent, so that a ray can meet it
     "LEVEL_NONE": 255,  # adaptive: a pixel that takes the kept samples and no others
     "OPTION_OTHER_SHIFT": 16,  # above: the groups of dimensions that draw from the second stream (sensitivity.py)
     "GROUP_PIXEL": 1,

@@ -128,6 +128,25 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
         {**LIT, **shape({"type": "conductor", "roughness": 0})},
         {"gloss", "delta_lights", "indirect"},
     ),
+    (
+        "gold under a sky",
+        {"environment": {"type": "constant"}, **shape({"type": "conductor"})},
+        {"gloss", "environment", "indirect"},
+    ),
+    (
+        "gold under a sky that light samples alone find",
+        {
+            "environment": {"type": "constant"},
+            **shape({"type": "conductor"}),
+            "integrator": {"max_bounces": 0, "mis": False},
+        },
+        {"gloss", "environment"},
+    ),
+    (
+        "paper under a sky",
+        {"environment": {"type": "constant"}, **shape({"type": "diffuse_transmission"})},
+        {"transmission", "environment"},
+    ),
     ("a mirror in the dark", shape({"type": "mirror"}), {"gloss"}),
     ("a mirror", {**LIT, **shape({"type": "mirror"})}, {"gloss", "delta_lights", "indirect"}),
     ("clear glass", shape({"type": "dielectric"}), {"transmission"}),

@@ -42,6 +42,28 @@ def test_roulette_keeps_the_mean_of_every_colour(render: Any, start: int) -> Non
     assert (error < 0.005 / (1 - albedo)).all()
 
 
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"type": "conductor", "base_color": 1, "fresnel": False, "roughness": 0.2},
+        {"type": "dielectric", "roughness": 0.3},
+    ],
+    ids=lambda m: m["type"],
+)
+@pytest.mark.parametrize("program", ["generic", "specialised"])
+def test_no_sample_of_a_narrow_lobe_at_the_last_hit_is_bright(
+    render: Any, material: dict[str, Any], program: str
+) -> None:
+    """A lobe's own ray brings G2 / G1 <= 1 of a light of radiance 1, or less through glass from outside. Its share by the
+    power heuristic leaves a light sample f p / (p^2 + q^2) <= f / (2 q) <= 1/2, so that no path exceeds 3/2. Light samples
+    alone would now and then hit the peak of the lobe: with the sky's p = 1 / (4 pi), f / p reaches hundreds."""
+    scene = furnace({**material, "energy_compensation": False}, integrator={"max_bounces": 0})
+    picture = render(scene, samples=64, replicates=64, program=program)
+    paths = picture.node.sums["rgba"][..., :3]
+    assert paths.max() <= 1.5 * (1 + 1e-5)
+    assert paths.max() > 1.01  # both kinds of sample are there
+
+
 def test_an_empty_scene_shows_its_environment_exactly(render: Any) -> None:
     picture = render(furnace({"type": "diffuse"}, shapes=[]), samples=8)
     assert (picture.mean == 1).all()

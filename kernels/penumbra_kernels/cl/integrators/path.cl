@@ -50,6 +50,12 @@ static inline Receiver receiver_of(const Surface *surface, const Bsdf *bsdf) {
   return receiver;
 }
 
+// Whether light samples alone serve the last hit that max_bounces allows. Narrow lobes share the work even there: a light
+// sample that falls into one of them would count for far more than its share, and seldom.
+static inline bool lights_alone(const __global Params *params, const Bsdf *bsdf) {
+  return bsdf_is_wide(bsdf) || (params->options & (OPTION_LIGHTS_TO_MEET | OPTION_NO_MIS)) != OPTION_LIGHTS_TO_MEET;
+}
+
 static inline uint object_of(const SceneData *scene, const Surface *surface) {
 #if PENUMBRA_INSTANCING
   if (surface->instance != NONE) return scene->instances[surface->instance].object_id;
@@ -113,8 +119,9 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
 #endif
     Bsdf bsdf;
     const bool last = bounce >= params->max_bounces;
-    if (bounce > params->max_bounces) break;  // a delta lobe's extra ray only looks for light
+    if (bounce > params->max_bounces) break;  // the ray before only looked for light
     bsdf_start(scene, &surface, wo, &bsdf);
+    const bool alone = last && lights_alone(params, &bsdf);
     if (bounce == 0) {
       result.alpha = 1.0f;
 #if PENUMBRA_LAYERS
@@ -127,7 +134,7 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
     from = receiver_of(&surface, &bsdf);
     if (bsdf_has_smooth(&bsdf)) {
       result.radiance += beta * direct_light(scene, params, sampler, &surface, &bsdf, &from, bounce, ray.time,
-                                             mis && !last, &result.effects, &result.rays);
+                                             mis && !alone, &result.effects, &result.rays);
     }
 #if PENUMBRA_INDIRECT
     float3 wi, weight;
@@ -136,8 +143,8 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
     const float2 u = bsdf_has_spread(&bsdf) ? sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION)) : (float2)(0.5f);
     if (!bsdf_sample(&bsdf, u_lobe, u, &wi, &weight, &lobe_pdf, &event)) break;
     delta = (event & BSDF_EVENT_DELTA) != 0u;
-    // Light samples had full weight here; mirrors still look for lights, where there are any.
-    if (last && (!delta || light_entries(scene) == 0u)) break;
+    // Where light samples are alone they had full weight; mirrors still look for lights, where there are any.
+    if (last && (delta ? light_entries(scene) == 0u : alone)) break;
     beta *= weight;
     result.effects |= (event & BSDF_EVENT_TRANSMIT) ? EFFECT_TRANSMISSION : (delta ? EFFECT_GLOSS : EFFECT_DIFFUSE);
     const float throughput = beta.x + beta.y + beta.z;

@@ -5,6 +5,7 @@
 //   bsdf_sample      a direction; false where the light ends. Smooth lobes: weight = value / density of all of them together;
 //                    delta lobes: BSDF_EVENT_DELTA, pdf their discrete probability, weight already divided by it
 //   bsdf_has_smooth  whether bsdf_eval can be anything but 0
+//   bsdf_is_wide     whether none of its smooth lobes is narrow
 //   bsdf_transmits   whether it can be for a wi on the far side
 //   bsdf_albedo      reflectance and transmittance towards wo, about: for the albedo layer
 //
@@ -144,6 +145,15 @@ static inline bool bsdf_has_lobes(const Bsdf *b) {
   return b->type != MATERIAL_DIFFUSE && b->type != MATERIAL_MIRROR;
 #else
   return false;
+#endif
+}
+
+// Whether every smooth lobe is about as wide as a hemisphere.
+static inline bool bsdf_is_wide(const Bsdf *b) {
+#if PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION
+  return b->type == MATERIAL_DIFFUSE || b->type == MATERIAL_DIFFUSE_TRANSMISSION;
+#else
+  return true;
 #endif
 }
 
