@@ -21,6 +21,7 @@ import numpy as np
 from clock import clock, cores
 from meshes import knot
 from penumbra_kernels.accel.trees import Trees
+from penumbra_kernels.blocks import blocks_of
 from penumbra_kernels.compile.scene import compile_scene
 from penumbra_kernels.compiler import Compiler, is_cached
 from penumbra_kernels.device import Device
@@ -32,7 +33,7 @@ from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.parse import parse_scene
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine
-from penumbra_service.engine.measure_process import Measurement, blocks_of
+from penumbra_service.engine.measure_process import Measurement
 from penumbra_service.engine.runner import JobRunner, RenderTask
 from penumbra_service.images.assets import FolderAssets
 from penumbra_service.measuring import Request

@@ -18,7 +18,7 @@ import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
-from penumbra_kernels import cache, pocl_cache
+from penumbra_kernels import pocl_cache
 from penumbra_kernels.program import assemble
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Built:
 
 def is_cached(device: Device, flags: Flags) -> bool:
     """Whether trace.cl with these flags is in the cache for this device."""
-    return cache.has(device.cache_key(assemble("trace.cl", {**flags, **device.flags})))
+    return device.has_binary(assemble("trace.cl", {**flags, **device.flags}))
 
 
 class Compiler:

@@ -195,6 +195,10 @@ class Device:
         """Names the program of a flattened source on this device."""
         return cache.key(source, self.options, self.info)
 
+    def has_binary(self, source: str) -> bool:
+        """Whether the program of a flattened source is in the cache."""
+        return cache.has(self.cache_key(source))
+
     def _from_cache(self, key: str) -> cl.Program | None:
         """The program whose binary is stored; None where there is none that the driver takes."""
         import pyopencl as cl

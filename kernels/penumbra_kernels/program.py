@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import operator
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -66,6 +68,85 @@ def assemble(entry: str, flags: Mapping[str, int], text: str | None = None) -> s
 def _entry(name: str) -> str:
     """A file under cl/, flattened. Once: a program's text is asked for several times, by its key and to build it."""
     return flatten((CL_ROOT / name).read_text(), name, {name})
+
+
+_DEFINE: Final = re.compile(r"^\s*#\s*define\s+(\w+)(?:\s+(\w+))?\s*$")
+_CONDITION: Final = re.compile(r"^\s*#\s*(if|ifdef|ifndef|elif|else|endif)\b(.*)")
+_COMMENT: Final = re.compile(r"/\*.*?\*/", re.DOTALL)
+_COMPARISONS: Final[dict[type, Callable[[int, int], bool]]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+
+
+def active_lines(source: str) -> int:
+    """Lines of an assembled text that its flags leave in, without comments and directives: what a compiler has to read.
+
+    Conditions are those that this project writes: integers, macros, comparisons, &&, || and !. A macro that the text does
+    not define with a number is 0, as OpenCL C has it (C99, 6.10.1); what a compiler predefines is unknown here.
+    """
+    macros: dict[str, int] = {}
+    blocks: list[tuple[bool, bool]] = []  # (this branch is in, some branch of the block was)
+    count = 0
+    for line in _COMMENT.sub("", source).splitlines():
+        condition = _CONDITION.match(line)
+        if condition:
+            _enter(blocks, condition.group(1), condition.group(2), macros)
+        elif all(active for active, _ in blocks):
+            define = _DEFINE.match(line)
+            if define:
+                macros[define.group(1)] = _number(define.group(2))
+            text = line.split("//")[0].strip()
+            count += bool(text) and not text.startswith("#")
+    return count
+
+
+def _enter(blocks: list[tuple[bool, bool]], word: str, rest: str, macros: Mapping[str, int]) -> None:
+    """Follow one directive into, through or out of its block."""
+    if word == "endif":
+        blocks.pop()
+        return
+    if word in ("elif", "else"):
+        _, taken = blocks.pop()
+        active = not taken and (word == "else" or _holds(rest, macros))
+    else:
+        taken = False
+        known = rest.split("//")[0].strip() in macros
+        active = {"ifdef": known, "ifndef": not known}[word] if word != "if" else _holds(rest, macros)
+    blocks.append((active, taken or active))
+
+
+def _number(text: str | None) -> int:
+    return int(text) if text is not None and text.isdecimal() else 0
+
+
+def _holds(condition: str, macros: Mapping[str, int]) -> bool:
+    words = re.sub(
+        r"defined\s*\(?\s*(\w+)\s*\)?", lambda m: str(int(m[1] in macros)), condition.split("//")[0]
+    )
+    words = re.sub(r"!(?!=)", " not ", words.replace("&&", " and ").replace("||", " or "))
+    return bool(_value(ast.parse(words.strip(), mode="eval").body, macros))
+
+
+def _value(node: ast.expr, macros: Mapping[str, int]) -> int:
+    match node:
+        case ast.Constant(value=int(number)):
+            return number
+        case ast.Name(id=name):
+            return macros.get(name, 0)
+        case ast.UnaryOp(op=ast.Not(), operand=inner):
+            return int(not _value(inner, macros))
+        case ast.BoolOp(op=ast.And(), values=parts):
+            return int(all(_value(part, macros) for part in parts))
+        case ast.BoolOp(op=ast.Or(), values=parts):
+            return int(any(_value(part, macros) for part in parts))
+        case ast.Compare(left=left, ops=[compare], comparators=[right]):
+            return int(_COMPARISONS[type(compare)](_value(left, macros), _value(right, macros)))
+    raise ValueError(f"a condition that is not read here: {ast.unparse(node)}")
 
 
 def source_hash(source: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -126,25 +127,16 @@ class Tracer:
         self.device = device
         self.compiled = compiled
         self.plan = plan
-        features = compiled.features
-        self.flags = features.flags() if program == "specialised" else features.generic_flags()
-        if pick_freeze:
-            self.flags = {**self.flags, "PENUMBRA_PICK_FREEZE": 1}
         self.other_groups = 0
         """GROUP_* bits."""
-        started = time.perf_counter()
-        builds = device.builds
-        self._kernel = build_program(device, self.flags).trace
-        self.compile_seconds = time.perf_counter() - started
-        self.compiled_cold = device.builds > builds
+        self._take_program(program, {"PENUMBRA_PICK_FREEZE": 1} if pick_freeze else {})
         started = time.perf_counter()
         arrays = tree_arrays(compiled.arrays, device.flags)
-        uploaded = [name for name, present in ARGUMENTS if present(self.flags) and name not in PER_LAUNCH]
-        self.scene_bytes = sum(arrays[name].nbytes for name in uploaded)
-        """Of scene data on the device."""
-        self._buffers = {}
-        for name in uploaded:
+        self._buffers: dict[str, cl.Buffer] = {}
+        self._sizes: dict[str, int] = {}
+        for name in self._uploaded():
             self._buffers[name] = device.upload(arrays[name])
+            self._sizes[name] = arrays[name].nbytes
             if not keep_arrays:
                 del arrays[name]
                 compiled.arrays.pop(name, None)
@@ -154,6 +146,31 @@ class Tracer:
         self._params["replicate_count"] = plan.replicates
         self._plan_strata(plan.strata)
         self._items_per_second = 0.0
+
+    def _take_program(self, program: str, more: Flags) -> None:
+        features = self.compiled.features
+        flags = features.flags() if program == "specialised" else features.generic_flags()
+        started, builds = time.perf_counter(), self.device.builds
+        self._kernel = build_program(self.device, {**flags, **more}).trace
+        self.flags: Flags = {**flags, **more}
+        self.compile_seconds = time.perf_counter() - started
+        self.compiled_cold = self.device.builds > builds
+
+    def _uploaded(self) -> list[str]:
+        return [name for name, present in ARGUMENTS if present(self.flags) and name not in PER_LAUNCH]
+
+    @property
+    def scene_bytes(self) -> int:
+        """Of scene data on the device that the program reads."""
+        return sum(self._sizes[name] for name in self._buffers)
+
+    def specialised(self) -> Tracer:
+        """A tracer of the scene's own program on the buffers of this one, which has the generic program. Raises BuildError."""
+        own = copy.copy(self)
+        own._take_program("specialised", {})
+        own._params = self._params.copy()
+        own._buffers = {name: self._buffers[name] for name in own._uploaded()}
+        return own
 
     def reseed(self, seed: int) -> None:
         """Take other random numbers from now on; scene and program stay."""

@@ -49,12 +49,13 @@ def features_of(effects: Iterable[str]) -> Features:
 
 
 def programs_of(scenes: Iterable[tuple[str, Scene]]) -> Iterator[tuple[str, dict[str, int]]]:
-    """(name, flags) of the programs that scenes need, and of the generic ones; each once. Without scenes the usual ones."""
+    """(name, flags) of the generic programs, with which any scene can begin at once, and of those that scenes need; each
+    once. Without scenes the usual ones."""
     found = [(name, analyse(scene)) for name, scene in scenes]
     if not found:
         found = [(" ".join(sorted(effects)) or "no effect", features_of(effects)) for effects in USUAL]
-    every = [(name, features.flags()) for name, features in found]
-    every += [("generic", features.generic_flags()) for _, features in found]
+    every = [("generic", features.generic_flags()) for _, features in found]
+    every += [(name, features.flags()) for name, features in found]
     seen = set()
     for name, flags in every:
         key = tuple(sorted(flags.items()))

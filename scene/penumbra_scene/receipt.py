@@ -126,6 +126,26 @@ class ReceiptDevice(Model):
     """Why it got no more of the job: its compiler refused, it failed three times, or it gave wrong sums."""
 
 
+class ReceiptProgram(Model):
+    """What one program rendered on one device. A scene's own program and the generic one give the same bits, so that one may
+    take over from the other between two leases."""
+
+    device: str
+    """Its id."""
+    program: Literal["specialised", "generic"]
+    """With just the scene's effects, or with all."""
+    hash: str
+    """SHA-256 of its text."""
+    background_seconds: Measured = 0.0
+    """Of building it while another one rendered; no part of the stages' seconds."""
+    leases: Count = 0
+    samples: Count = 0
+    """All pixels and replicates together."""
+    first_sample: Count = 0
+    end: Count = 0
+    """Every sample that it took has an index, in its replicate, from `first_sample` up to before `end`."""
+
+
 class LevelShare(Model):
     """Pixels that took equally many samples."""
 
@@ -197,7 +217,7 @@ class Receipt(Model):
     """sha256:..., of what decides the picture that a render converges to: renders that differ in sampler, seed or
     stop rule have the same, and `penumbra merge` takes them together."""
     program_hash: str | None = None
-    """Of the kernel's text and all that its build depends on."""
+    """SHA-256 of the text of the program that rendered last."""
     kernel_hash: str | None = None
     """Of the kernels package's sources."""
     time: Float = 0.0
@@ -227,6 +247,8 @@ class Receipt(Model):
     effects_measured: EffectsMeasured | None = None
     """What each effect cost, where the job asked for it."""
     devices: tuple[ReceiptDevice, ...] = ()
+    programs: tuple[ReceiptProgram, ...] = ()
+    """Which program rendered what, in the order in which they began."""
     bit_class: str
     """On a device of this class the plan below gives the same bits again; 'mixed' if there were several."""
     plan: tuple[PlanStep, ...] = ()

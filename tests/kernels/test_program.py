@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from penumbra_kernels import layout
 from penumbra_kernels.device import BuildError, Device, DeviceError
-from penumbra_kernels.program import CL_ROOT, assemble
+from penumbra_kernels.program import CL_ROOT, active_lines, assemble
 from penumbra_kernels.tracer import ARGUMENTS
+from penumbra_kernels.warm import programs_of
 
 
 def test_a_file_hidden_by_one_condition_is_there_for_another(device: Device) -> None:
@@ -82,3 +83,60 @@ def test_arguments_are_named_once() -> None:
 def test_what_the_driver_refuses_is_told_as_the_devices_failure(device: Device) -> None:
     with pytest.raises(DeviceError, match=rf"{device.info.id} .*failed allocating"):
         device.allocate(1 << 50)
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("PENUMBRA_A", True),
+        ("PENUMBRA_B", False),
+        ("NOWHERE", False),
+        ("!PENUMBRA_B", True),
+        ("PENUMBRA_B || PENUMBRA_A && !NOWHERE", True),
+        ("!(PENUMBRA_A || PENUMBRA_B)", False),
+        ("PENUMBRA_A == SAMPLER_ONE && PENUMBRA_B != 1", True),
+        ("defined(NOWHERE) || defined(PENUMBRA_B)", True),
+        ("SAMPLER_TWO > 1 && SAMPLER_TWO <= 2", True),
+    ],
+)
+def test_lines_that_flags_leave_out_are_not_counted(condition: str, holds: bool) -> None:
+    text = f"""
+#define SAMPLER_ONE 1
+#define SAMPLER_TWO 2
+#if {condition} // why
+int in; // a comment
+#if PENUMBRA_B
+int never;
+#elif PENUMBRA_A
+int inner;
+#else
+int never;
+#endif
+#else
+/* not
+a line */
+int out, three;
+
+int lines;
+int here;
+#endif
+int always;
+"""
+    counted = active_lines(assemble("test.cl", {"PENUMBRA_A": 1, "PENUMBRA_B": 0}, text))
+    assert counted == (3 if holds else 4)
+
+
+def test_a_scenes_own_program_is_smaller_than_the_generic_one() -> None:
+    sizes = [(name, active_lines(assemble("trace.cl", flags))) for name, flags in programs_of([])]
+    generic = [size for name, size in sizes if name == "generic"]
+    assert (
+        1000
+        < min(size for _, size in sizes)
+        < max(size for name, size in sizes if name != "generic")
+        < min(generic)
+    )
+
+
+def test_a_condition_of_another_sort_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"PENUMBRA_A \+ 1"):
+        active_lines("#if PENUMBRA_A + 1\n#endif\n")

@@ -47,6 +47,15 @@ def test_each_program_is_named_once() -> None:
     assert len(programs) == len(USUAL) + len(with_layers)
 
 
+def test_what_is_warm_has_a_program_for_a_scene_that_nobody_has_seen() -> None:
+    """The generic one, built first."""
+    effects = {"lens", "deformation", "delta_lights"}
+    assert frozenset(effects) not in USUAL
+    name, flags = next(iter(programs_of([])))
+    assert name == "generic"
+    assert flags == features_of(effects).generic_flags()
+
+
 @pytest.mark.skipif(not devices(), reason="no OpenCL device")
 def test_a_second_run_finds_everything_in_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -58,8 +67,8 @@ def test_a_second_run_finds_everything_in_the_cache(
     assert run(*words, "--json") == Exit.OK
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(line["program"], line["built"], line["problem"]) for line in lines] == [
-        ("scene.json", True, None),
         ("generic", True, None),
+        ("scene.json", True, None),
     ]
     assert run(*words) == Exit.OK
     assert capsys.readouterr().out.count("in the cache") == 2

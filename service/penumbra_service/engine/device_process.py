@@ -68,8 +68,13 @@ class LoadedScene(Protocol):
     build_seconds: float
     compile_seconds: float
     compile_warm: bool
+    background_seconds: float
     effects: tuple[tuple[str, bool, str, str | None], ...]
+    program: str
     program_hash: str
+
+    def go_over(self) -> None:
+        """Another program may take over, if it is there by now."""
 
     def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
         """Raises DeviceRefusedError."""
@@ -102,7 +107,8 @@ class DeviceProcess:
         self._connection = connection
         self._sending = threading.Lock()
         self._scenes: OrderedDict[str, LoadedScene] = OrderedDict()
-        self._told: set[tuple[str, str]] = set()
+        self._told: set[tuple[str, str, str]] = set()
+        """(job, scene, program)."""
         self._waiting: list[Lease] = []
         self._phase = "idle"
 
@@ -154,7 +160,8 @@ class DeviceProcess:
                 scene.trace(item.tile, item.first, item.count, lease.allotments.get(item.tile))
                 for item in lease.items
             )
-            self._send(LeaseResult(lease.id, nodes, time.perf_counter() - started))
+            seconds = time.perf_counter() - started
+            self._send(LeaseResult(lease.id, nodes, seconds, scene.program, scene.program_hash))
         except SceneError as error:
             self._send(LeaseFailure(lease.id, "scene", str(error)))
         except BuildRefusedError as error:
@@ -169,10 +176,15 @@ class DeviceProcess:
             self._send(LeaseFailure(lease.id, "internal", f"{type(error).__name__}: {error}"))
 
     def _scene(self, lease: Lease) -> LoadedScene | None:
-        """From the scenes that are loaded, or load it; tells the job, once. None while its program is compiled."""
+        """From the scenes that are loaded, or load it; tells the job, once for each program. None while its program is
+        compiled."""
         key = lease.spec.key
         scene = self._scenes.get(key)
         warm = scene is not None
+        if scene is not None:
+            before = scene.program_hash
+            scene.go_over()
+            warm = scene.program_hash == before
         if scene is None:
             self._phase = f"load {lease.job}"
             scene = self._backend.load(lease.spec)
@@ -182,8 +194,9 @@ class DeviceProcess:
                 self._scenes.popitem(last=False)
             self._scenes[key] = scene
         self._scenes.move_to_end(key)
-        if not warm or (lease.job, key) not in self._told:
-            self._told.add((lease.job, key))
+        told = (lease.job, key, scene.program_hash)
+        if not warm or told not in self._told:
+            self._told.add(told)
             self._send(_loaded(lease.job, scene, warm))
         return scene
 
@@ -209,7 +222,9 @@ def _loaded(job: str, scene: LoadedScene, warm: bool) -> SceneLoaded:
         compile_seconds=0.0 if warm else scene.compile_seconds,
         compile_warm=warm or scene.compile_warm,
         effects=scene.effects,
+        program=scene.program,
         program_hash=scene.program_hash,
+        background_seconds=0.0 if warm else scene.background_seconds,
     )
 
 

@@ -9,7 +9,6 @@ that were never built before are compiled on top.
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from penumbra_kernels.assets import AssetError
+from penumbra_kernels.blocks import blocks_of
 from penumbra_kernels.compile.scene import CompiledScene, compile_scene
 from penumbra_kernels.device import Device, DeviceError
 from penumbra_kernels.features import analyse
@@ -33,8 +33,6 @@ from penumbra_service.engine.opencl import assets_of
 from penumbra_service.engine.protocol import RenderSpec
 from penumbra_service.measuring import Request
 
-BLOCK: Final = 8
-"""Side of a block of pixels."""
 REPLICATES: Final = 8
 SAMPLES: Final = 8
 """A replicate's: at more, single blocks would take too large a part of the budget."""
@@ -43,28 +41,6 @@ NOISE_BLOCKS: Final = (64, 1024)
 TIMED_BLOCKS: Final = (4, 64)
 ROUNDS: Final = 7
 """Timings of each variant, in turns; the least counts, since whatever else the machine does only adds."""
-
-
-def _within(cell: int, cells: int, places: int, shift: float) -> int:
-    """A place of one of `cells` equal parts of `places`; shift in [0, 1) says which."""
-    first, end = cell * places // cells, (cell + 1) * places // cells
-    return first + int(shift * (end - first))
-
-
-def blocks_of(window: Tile, count: int) -> list[Tile]:
-    """At most `count` blocks, about, one in each cell of a grid over the window; smaller windows give fewer."""
-    columns, rows = max(window.width // BLOCK, 1), max(window.height // BLOCK, 1)
-    width, height = min(BLOCK, window.width), min(BLOCK, window.height)
-    wide = max(min(columns, count, round(math.sqrt(count * columns / rows))), 1)
-    high = max(min(rows, count // wide), 1)
-    found = []
-    for cell in range(wide * high):
-        # Multiples of the golden ratio (Weyl 1916) move the block about in its cell, so that no grid in the scene can hide.
-        shift = math.modf(cell * 0.6180339887498949)[0]
-        x = _within(cell % wide, wide, columns, shift) * BLOCK
-        y = _within(cell // wide, high, rows, 1.0 - shift - 2.0**-30) * BLOCK
-        found.append(Tile(window.x + x, window.y + y, width, height))
-    return found
 
 
 def _seconds(tracer: Tracer, blocks: Sequence[Tile]) -> float:

@@ -176,6 +176,7 @@ class PilotRunner:
             time=task.time,
             replicates=self._layout.replicates,
             strata=0,
+            program="specialised",  # the one whose rate the job will mostly have
             decode=task.decode,
         )
 

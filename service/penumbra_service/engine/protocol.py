@@ -38,8 +38,9 @@ class RenderSpec:
     time: float
     replicates: int
     strata: int
-    program: str = "specialised"
-    """Or 'generic': every effect compiled in."""
+    program: str = "auto"
+    """'specialised': the scene's own; 'generic': every effect compiled in; 'auto': the one that is ready first, and the own
+    one from when it is there and pays off (programs.py)."""
     decode: DecodeLimits = DEFAULTS
     """On assets that have to be decoded anew."""
 
@@ -119,7 +120,7 @@ class Waiting:
 
 @dataclass(frozen=True)
 class SceneLoaded:
-    """A job's scene is on the device, its program built."""
+    """A job's scene is on the device, its program built; or another program has taken over."""
 
     job: str
     build_seconds: float
@@ -131,7 +132,11 @@ class SceneLoaded:
     """The program came from the cache, or the process had it loaded."""
     effects: tuple[tuple[str, bool, str, str | None], ...]
     """(name, compiled in, why, JSON pointer to what calls for it)."""
+    program: str
+    """'specialised' or 'generic'."""
     program_hash: str
+    background_seconds: float = 0.0
+    """Of building the program while another one rendered."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,9 @@ class LeaseResult:
     nodes: tuple[SumNode, ...]
     seconds: float
     """Of tracing."""
+    program: str = "specialised"
+    """Which one rendered it, all of it."""
+    program_hash: str = ""
 
 
 @dataclass(frozen=True)

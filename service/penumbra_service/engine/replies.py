@@ -5,6 +5,7 @@ One thread, the run's.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 from penumbra_scene.job import JobState
@@ -26,15 +27,20 @@ from penumbra_service.engine.trust import Trust
 from penumbra_service.jobs.life import DeviceCrashed, Event, Life, SceneReady, step
 from penumbra_service.jobs.record import Effect, RunRecord
 
+log = logging.getLogger(__name__)
+
 
 class Replies:
-    """Of one run; `life` is where it stands. `ready` is called when a device has loaded the scene."""
+    """Of one run of `job`; `life` is where it stands. `ready` is called when a device has loaded the scene."""
 
-    def __init__(self, course: Course, desk: LeaseDesk, engine: Engine, ready: Callable[[], None]) -> None:
+    def __init__(
+        self, job: str, course: Course, desk: LeaseDesk, engine: Engine, ready: Callable[[], None]
+    ) -> None:
         self._course = course
         self._desk = desk
         self._engine = engine
         self._ready = ready
+        self._job = job
         self.life = Life(JobState.COMPILING)
 
     def begin(self, record: RunRecord) -> None:
@@ -82,7 +88,17 @@ class Replies:
         elif self._desk.answered(result, device):
             self._course.clock.start()
             self._trust.delivered(device, result)
+            self._note_program(device, result)
             self._course.take(result.nodes)
+
+    def _note_program(self, device: DeviceDescription, result: LeaseResult) -> None:
+        """Which samples are of which program: their bits are the same, and whoever doubts it can tell them apart."""
+        use = self._course.record.use_of_program(device.id, result.program, result.program_hash)
+        firsts = [node.first_sample for node in result.nodes] + ([use.first_sample] if use.leases else [])
+        use.first_sample = min(firsts)
+        use.end = max(use.end, *(node.first_sample + node.sample_count for node in result.nodes))
+        use.leases += 1
+        use.samples += sum(int(n.sums["taken"].sum() + n.sums["rejected"].sum()) for n in result.nodes)
 
     def _take_check(self, device: DeviceDescription, result: LeaseResult, wrong: list[str]) -> None:
         """Another device has done a lease that is there already."""
@@ -100,7 +116,11 @@ class Replies:
         record.build_warm = loaded.build_warm and record.build_warm is not False
         record.compile_warm = loaded.compile_warm and record.compile_warm is not False
         record.effects = [Effect(*effect) for effect in loaded.effects]
-        record.program_hash = loaded.program_hash
+        before, record.program_hash = record.program_hash, loaded.program_hash
+        use = record.use_of_program(device.id, loaded.program, loaded.program_hash)
+        use.background_seconds += loaded.background_seconds
+        if before is not None and loaded.background_seconds:
+            log.info("job %s: on device %s the scene's own program takes over", self._job, device.id)
         self._trust.use_of(device)
         self._ready()
 

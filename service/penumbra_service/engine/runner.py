@@ -73,7 +73,7 @@ class JobRunner:
         )
         key = f"{self._scene}-{kernel_hash()}"
         self._course = Course(engine, task, layout, key, self._desk, clock, looked=self._tell_now)
-        self._replies = Replies(self._course, self._desk, engine, ready=self._tell_now)
+        self._replies = Replies(task.job, self._course, self._desk, engine, ready=self._tell_now)
         self._reporter = Reporter(on_progress, on_preview)
 
     @property

@@ -61,7 +61,8 @@ class RenderTask:
     frame: int | None = None
     """Its number, where the job has several."""
     priority: int = 0
-    program: str = "specialised"
+    program: str = "auto"
+    """Or 'specialised', 'generic': that one from the first sample to the last."""
     memory_limit: int = MEMORY_LIMIT
     decode: DecodeLimits = DEFAULTS
     """On assets that have to be decoded anew."""

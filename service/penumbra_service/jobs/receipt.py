@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib import metadata
 from typing import Final
@@ -24,6 +24,7 @@ from penumbra_scene.receipt import (
     ReceiptDevice,
     ReceiptError,
     ReceiptFilm,
+    ReceiptProgram,
     Stages,
     StageTime,
 )
@@ -106,6 +107,7 @@ def build_receipt(
         effects_measured=context.effects_measured,
         not_covered=tuple(EffectReport(name=limit.name, reason=limit.reason) for limit in not_covered(scene)),
         devices=_devices(record),
+        programs=_programs(record),
         bit_class=record.bit_class,
         plan=_plan(record),
         redone_leases=record.redone_leases,
@@ -294,6 +296,10 @@ def _devices(record: RunRecord) -> tuple[ReceiptDevice, ...]:
         )
         for use in record.devices.values()
     )
+
+
+def _programs(record: RunRecord) -> tuple[ReceiptProgram, ...]:
+    return tuple(ReceiptProgram.model_validate(asdict(use)) for use in record.programs if use.leases)
 
 
 def _plan(record: RunRecord) -> tuple[PlanStep, ...]:

@@ -38,6 +38,24 @@ class Effect:
 
 
 @dataclass
+class ProgramUse:
+    """What one program rendered on one device."""
+
+    device: str
+    program: str
+    """'specialised' or 'generic'."""
+    hash: str
+    background_seconds: float = 0.0
+    """Of building it while another one rendered."""
+    leases: int = 0
+    samples: int = 0
+    """All pixels and replicates together."""
+    first_sample: int = 0
+    end: int = 0
+    """Every sample that it took has an index, in its replicate, from first_sample up to before end."""
+
+
+@dataclass
 class Foretold:
     """The first prediction of a run."""
 
@@ -105,6 +123,9 @@ class RunRecord:
     devices: dict[str, DeviceUse] = field(default_factory=dict)
     effects: list[Effect] = field(default_factory=list)
     program_hash: str | None = None
+    """Of the newest program."""
+    programs: list[ProgramUse] = field(default_factory=list)
+    """In the order in which they began."""
     kernel_hash: str | None = None
     redone_leases: int = 0
     resumed: int = 0
@@ -129,6 +150,14 @@ class RunRecord:
         classes = sorted({use.bit_class for use in self.devices.values() if use.leases})
         return classes[0] if len(classes) == 1 else ("mixed" if classes else "none")
 
+    def use_of_program(self, device: str, program: str, text_hash: str) -> ProgramUse:
+        """The account of a program on a device."""
+        for use in self.programs:
+            if (use.device, use.hash) == (device, text_hash):
+                return use
+        self.programs.append(ProgramUse(device, program, text_hash))
+        return self.programs[-1]
+
     def to_json(self) -> dict[str, Any]:
         """Plain dictionaries and lists."""
         return dataclasses.asdict(self)
@@ -143,6 +172,7 @@ class RunRecord:
         record.points = [Point(**p) for p in data["points"]]
         record.devices = {key: DeviceUse(**use) for key, use in data["devices"].items()}
         record.effects = [Effect(**e) for e in data["effects"]]
+        record.programs = [ProgramUse(**use) for use in data["programs"]]
         record.foretold = Foretold(**data["foretold"]) if data["foretold"] else None
         record.adaptive = AdaptiveUse(**data["adaptive"]) if data["adaptive"] else None
         record.counts = PixelCounts(**data["counts"]) if data["counts"] else None

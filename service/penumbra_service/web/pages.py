@@ -273,10 +273,19 @@ def _rays_per_path(counts: Counts) -> str:
     return words.UNKNOWN if counts.rays_per_path is None else f"{counts.rays_per_path:.2f}"
 
 
+def _programs(receipt: Receipt) -> str:
+    """The last program's hash, and what each rendered where there were several."""
+    last = receipt.program_hash or words.UNKNOWN
+    if len(receipt.programs) < 2:
+        return last
+    parts = [f"{p.program} on {p.device}: {p.leases} leases" for p in receipt.programs]
+    return f"{last} ({', '.join(parts)})"
+
+
 def _identity_rows(receipt: Receipt) -> tuple[tuple[str, str], ...]:
     return (
         ("Scene", receipt.scene_hash),
-        ("Program", receipt.program_hash or words.UNKNOWN),
+        ("Program", _programs(receipt)),
         ("Bit class", receipt.bit_class),
         ("Sampler", f"{receipt.sampler}, {receipt.replicates} replicates"),
         ("Seed", receipt.seed),

@@ -1,6 +1,7 @@
 """A device process without OpenCL: its 'samples' are hashes of (seed, pixel, replicate, sample index).
 
 The scene's name says how it behaves: words among slow, steady (so many samples a second), compiling (in another process),
+goes-over (after GENERIC_LEASES leases by another program),
 crash-load, crash-trace, hang, rejected, bad-scene, bad-build, bad-device. In the environment FAKE_DEVICES names the
 devices (commas), FAKE_BROKEN those that cannot be opened, FAKE_RATE is the samples a second of a steady scene,
 FAKE_BIT_CLASS the devices' bit class, and FAKE_HABIT what a device does whatever the scene: garbage (wrong sums) or
@@ -29,6 +30,7 @@ from penumbra_service.engine.protocol import DeviceDescription, RenderSpec
 
 SLOW_SECONDS = 0.05
 COMPILE_SECONDS = 1.0
+GENERIC_LEASES = 3
 HABIT = os.environ.get("FAKE_HABIT", "")
 RATE = float(os.environ.get("FAKE_RATE", "2e6"))
 
@@ -48,12 +50,23 @@ class FakeScene:
     build_seconds = 0.01
     compile_seconds = 0.02
     compile_warm = False
+    background_seconds = 0.0
     effects = (("lens", False, "nothing uses it", None), ("gloss", True, "a test says so", "/materials/a"))
+    program = "specialised"
     program_hash = "0" * 64
 
     def __init__(self, scene: Scene, spec: RenderSpec) -> None:
         self.scene = scene
         self.spec = spec
+        self.lease = 0
+        if "goes-over" in scene.name:
+            self.program, self.program_hash = "generic", "1" * 64
+
+    def go_over(self) -> None:
+        self.lease += 1
+        if self.lease == GENERIC_LEASES and self.program == "generic":
+            self.program, self.program_hash = "specialised", "0" * 64
+            self.background_seconds = 0.5
 
     def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
         if "slow" in self.scene.name:

@@ -1,0 +1,145 @@
+"""A scene on a device, and the program that renders it: the generic one until the scene's own is there, if that comes first.
+
+Only device processes import it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from typing import Final
+
+from penumbra_kernels.allotment import Allotment
+from penumbra_kernels.choice import Program
+from penumbra_kernels.compile.scene import CompiledScene
+from penumbra_kernels.device import BuildError, Device, DeviceError
+from penumbra_kernels.features import Feature
+from penumbra_kernels.nodes import SumNode, Tile
+from penumbra_kernels.program import source_hash
+from penumbra_kernels.proof import compare
+from penumbra_kernels.tracer import SamplePlan, Tracer
+from penumbra_scene.scene import Scene
+
+from penumbra_service.engine.device_process import DeviceRefusedError
+from penumbra_service.engine.programs import Order, Programs
+from penumbra_service.engine.protocol import RenderSpec
+
+_WARM_UP: Final = Tile(0, 0, 1, 1)
+"""Some drivers compile a kernel at its first launch: one sample of one pixel has them do it outside of the
+tracing time."""
+LOOK_SECONDS: Final = 0.25
+"""Of rendering by the generic program, until the first look at whether the scene's own is worth building; each next look
+comes after as long again as all before."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scene whose arrays are ready."""
+
+    scene: Scene
+    compiled: CompiledScene
+    build_seconds: float
+    first: Program
+    order: Order | None
+    """Of the program that renders first; null: it was in the cache."""
+    own: Order | None
+    """Of the scene's own program, where the generic one renders first and that one is worth building."""
+
+
+class LoadedOnDevice:
+    """A scene with its tracer. Raises BuildError, DeviceError."""
+
+    def __init__(self, device: Device, prepared: Prepared, spec: RenderSpec, programs: Programs) -> None:
+        self._scene = prepared.scene
+        self._programs = programs
+        window = prepared.scene.film.window
+        self._window = Tile(window.x, window.y, window.width, window.height)
+        self._features = prepared.compiled.features
+        plan = SamplePlan(spec.replicates, spec.strata)
+        started = time.perf_counter()
+        tracer = Tracer(device, prepared.compiled, plan, program=prepared.first, keep_arrays=False)
+        self._waits = spec.program == "auto" and prepared.first == "generic"
+        """Whether the scene's own program may take over."""
+        self._own = prepared.own
+        self.background_seconds = 0.0
+        """Of building the program that renders, while the generic one did."""
+        self._samples, self._seconds, self._looked = 0, 0.0, 0.0
+        """Rendered by the generic program while its own may still come; at the last look."""
+        self._take(tracer, prepared.first)
+        self.compile_seconds = time.perf_counter() - started - tracer.upload_seconds
+        self.compile_warm = not tracer.compiled_cold
+        if prepared.order is not None and prepared.order.built is not None:
+            self.compile_seconds += prepared.order.built.seconds
+            self.compile_warm = self.compile_warm and not prepared.order.built.built
+        self.build_seconds = prepared.build_seconds + tracer.upload_seconds
+
+    def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:
+        started = time.perf_counter()
+        try:
+            node = self._tracer.trace(tile, first, count, allotment)
+        except DeviceError as error:
+            raise DeviceRefusedError(str(error)) from error
+        if self._waits:
+            self._samples += int(node.sums["taken"].sum() + node.sums["rejected"].sum())
+            self._seconds += time.perf_counter() - started
+        return node
+
+    def go_over(self) -> None:
+        """Take the scene's own program if it is there by now; see to it that it is built once that is worth it. Between
+        two leases, so that each is of one program."""
+        if not self._waits:
+            return
+        self._programs.poll()
+        if self._own is None:
+            self._look()
+        elif self._own.built is not None:
+            self._waits = False
+            if self._own.built.problem is None and not self._own.built.died:
+                self._switch(self._own.built.seconds)
+
+    def _look(self) -> None:
+        spent = self._seconds - self._looked
+        if spent < max(LOOK_SECONDS, self._looked):
+            return
+        self._looked = self._seconds
+        self._programs.spend(self._features, spent)
+        choice = self._programs.choose(self._scene, self._features, self._seconds)
+        if choice.build_own or choice.first == "specialised":  # another job had it built
+            self._own = self._programs.order(self._features.flags())
+
+    def _switch(self, built_seconds: float) -> None:
+        """Raises nothing: what does not work out leaves the generic program."""
+        started = time.perf_counter()
+        try:
+            own = self._tracer.specialised()
+            gain = compare(own, self._tracer, self._window)
+        except (BuildError, DeviceError) as error:
+            print(f"the scene's own program was left aside: {error}", file=sys.stderr, flush=True)
+            return
+        if gain is None:
+            told = "other sums than the generic program's, in a picture that it has begun"
+            print(f"the scene's own program was left aside: {told}", file=sys.stderr, flush=True)
+            return
+        self._programs.note_gain(gain)
+        if self._seconds > LOOK_SECONDS:
+            self._programs.note_rate(self._samples / self._seconds)
+        self._take(own, "specialised")
+        self.build_seconds, self.compile_warm = 0.0, False
+        self.compile_seconds = time.perf_counter() - started
+        self.background_seconds = built_seconds
+
+    def _take(self, tracer: Tracer, program: Program) -> None:
+        tracer.trace(_WARM_UP, 0, 1)
+        self._tracer = tracer
+        self.program = program
+        self.effects = tuple(
+            _as_compiled(verdict, program == "generic") for verdict in self._features.verdicts
+        )
+        self.program_hash = source_hash(self._programs.text(tracer.flags))
+
+
+def _as_compiled(verdict: Feature, generic: bool) -> tuple[str, bool, str, str | None]:
+    if verdict.present or not generic or verdict.name == "layers":
+        return verdict.name, verdict.present, verdict.reason, verdict.pointer
+    return verdict.name, True, f"the generic program has every effect; {verdict.reason}", None

@@ -1,0 +1,131 @@
+"""Programs of one device: which are there, which are being built, and which one a scene begins with.
+
+Only device processes import it. The rule is penumbra_kernels/choice.py's, what it predicts from penumbra_kernels/history.py's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+from penumbra_kernels.choice import Choice, Program, choose, seconds_to_come
+from penumbra_kernels.compiler import Built, Compiler
+from penumbra_kernels.device import Device
+from penumbra_kernels.features import Features
+from penumbra_kernels.history import History
+from penumbra_kernels.program import active_lines, assemble, source_hash
+from penumbra_kernels.tracer import Flags
+from penumbra_scene.scene import Scene
+
+LEAST_PREDICTED: Final = 0.05
+"""Seconds that a program under way takes at least, however late it is."""
+
+
+@dataclass
+class Order:
+    """A program that another process builds."""
+
+    lines: int
+    seconds: float
+    """Predicted."""
+    built: Built | None = None
+    """Null until it has answered."""
+
+
+class Programs:
+    """Of one opened device."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._compiler = Compiler(device.info.id)
+        self._history = History(device.info)
+        self._orders: deque[Order] = deque()
+        """Not answered yet, the oldest first."""
+
+    def text(self, flags: Flags) -> str:
+        """A program's whole text on this device."""
+        return _text(tuple(sorted({**flags, **self._device.flags}.items())))
+
+    def cached(self, text: str) -> bool:
+        """Whether a program is in the cache."""
+        return self._device.has_binary(text)
+
+    def order(self, flags: Flags) -> Order:
+        """Have a program built."""
+        lines = _lines(self.text(flags))
+        order = Order(lines, self._history.read().build_seconds(lines, self._device.info.kind))
+        self._compiler.order(flags)
+        self._orders.append(order)
+        return order
+
+    def poll(self) -> None:
+        """Take in what the compiler's process has answered."""
+        while self._orders and (built := self._compiler.answer(0.0)) is not None:
+            order = self._orders.popleft()
+            order.built = built
+            if built.built and built.problem is None:
+                self._history.add_build(order.lines, built.seconds)
+
+    def begin(
+        self, scene: Scene, features: Features, wanted: str
+    ) -> tuple[Program, Order | None, Order | None]:
+        """Which program a scene begins with; the orders of that one and of the scene's own, as far as they are built now.
+        wanted: 'auto', or the name of the one that it has to be."""
+        choice = self.choose(scene, features) if wanted == "auto" else None
+        first: Program = "generic" if "generic" in (wanted, choice and choice.first) else "specialised"
+        flags = features.generic_flags() if first == "generic" else features.flags()
+        order = None if self.cached(self.text(flags)) else self.order(flags)
+        own = self.order(features.flags()) if choice is not None and choice.build_own else None
+        return first, order, own
+
+    def choose(self, scene: Scene, features: Features, done: float = 0.0) -> Choice:
+        """What a scene begins with, or, `done` seconds after it began with the generic program, goes on with."""
+        own, generic = self.text(features.flags()), self.text(features.generic_flags())
+        if own == generic or self.cached(own):
+            return Choice("specialised", build_own=False)
+        self.poll()
+        past = self._history.read()
+        to_come = seconds_to_come(planned_seconds(scene, past.rate), done, past.spent_for(source_hash(own)))
+        share = 1.0 / self._device.info.compute_units if self._device.info.kind == "cpu" else 0.0
+        return choose(self._wait(own), self._wait(generic), to_come, past.gain, share)
+
+    def spend(self, features: Features, seconds: float) -> None:
+        """The generic program has rendered for a scene whose own program is not built."""
+        self._history.add_spent(source_hash(self.text(features.flags())), seconds)
+
+    def note_gain(self, gain: float) -> None:
+        """A scene's own program was so much faster."""
+        self._history.add_gain(gain)
+
+    def note_rate(self, samples_per_second: float) -> None:
+        """The generic program was so fast."""
+        self._history.add_rate(samples_per_second)
+
+    def _wait(self, text: str) -> float:
+        """Predicted until a program is ready; orders before it are built first."""
+        if self.cached(text):
+            return 0.0
+        before = sum(max(order.seconds, LEAST_PREDICTED) for order in self._orders)
+        lines = _lines(text)
+        return before + self._history.read().build_seconds(lines, self._device.info.kind)
+
+
+@lru_cache(32)
+def _text(flags: tuple[tuple[str, int], ...]) -> str:
+    return assemble("trace.cl", dict(flags))
+
+
+@lru_cache(32)
+def _lines(text: str) -> int:
+    return active_lines(text)
+
+
+def planned_seconds(scene: Scene, rate: float | None) -> float | None:
+    """Seconds of rendering that a scene's stop rule allows at so many samples a second; None where it does not tell."""
+    stop, window = scene.stop, scene.film.window
+    limits = [stop.seconds] if stop.seconds is not None else []
+    if stop.samples is not None and rate is not None:
+        limits.append(stop.samples * window.width * window.height / rate)
+    return min(limits, default=None)
