@@ -39,9 +39,12 @@ class Engine(Protocol):
         out: Path,
         devices: str,
         report: Callable[[ProgressEvent], None],
+        *,
+        anew: bool = False,
     ) -> tuple[Receipt, ...]:
         """Render a job whose files lie under `folder`, and leave its results in `out` under the client's
-        names; the receipts of its pictures, one a frame where there are several.
+        names; the receipts of its pictures, one a frame where there are several. Frames that an earlier call has left
+        there are kept, unless `anew`.
 
         `devices` are ids with commas between them, or "" for all. Blocks; reports as it goes.
         """

@@ -323,12 +323,15 @@ class LocalEngine:
         out: Path,
         devices: str,
         report: Callable[[ProgressEvent], None],
+        *,
+        anew: bool = False,
     ) -> tuple[Receipt, ...]:
-        """Render a job whose files lie under `folder` and leave its results in `out`. Raises CommandError."""
+        """Render a job whose files lie under `folder` and leave its results in `out`; frames that are there already are
+        kept, unless `anew`. Raises CommandError."""
         from penumbra_service.rendering import render
 
         first, self._first = self._first, None
-        return render(request, folder, out, devices, report, first)
+        return render(request, folder, out, devices, report, first, anew=anew)
 
     def quote(self, request: JobRequest, folder: Path, devices: str) -> Quote:
         """What a job would cost; arguments as for `render`. Raises CommandError."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -32,10 +31,11 @@ from penumbra_service.engine.status import device_status
 from penumbra_service.engine.task import FixedPlan
 from penumbra_service.film.replicates import Layout
 from penumbra_service.frames import run_frames
+from penumbra_service.out_folder import OutBook, finished_frames, move_files
 from penumbra_service.picture import Picture, PictureRunner
 from penumbra_service.quoting import make_quote
-from penumbra_service.results import ALL, OF_SEQUENCE, frame_folder
-from penumbra_service.running import Control, EndedFrame, Outcome
+from penumbra_service.results import ALL, OF_SEQUENCE
+from penumbra_service.running import Control, Outcome
 from penumbra_service.sequence import frames_at_once
 
 JOB: Final = "local"
@@ -69,9 +69,12 @@ def render(
     devices: str,
     report: Callable[[ProgressEvent], None],
     first: Child | None = None,
+    *,
+    anew: bool = False,
 ) -> tuple[Receipt, ...]:
     """Render a job and leave its results in `out`; files that the scene names lie under `folder`. The receipts of its
-    pictures: one, or those of its frames, whose files lie in folders of their own.
+    pictures: one, or those of its frames, whose files lie in folders of their own. Frames of the same render that are in `out`
+    already are kept, unless `anew`.
 
     `devices` are ids with commas between them, or "" for all; `first` is their first process, if it was started ahead.
     Raises CommandError, OSError.
@@ -82,16 +85,16 @@ def render(
     ):
         if not request.sequence:
             receipt = render_on(engine, request, folder, Path(work), report)
-            _move(Path(work), out, ALL)
+            move_files(Path(work), out, ALL)
             return (receipt,)
-        book = _OutBook(Path(work), out)
+        book = OutBook(Path(work), out, {} if anew else finished_frames(request, folder, out))
         whole = _picture(request, Path(work), report)
         try:
             outcome = run_frames(
                 _pictures(engine, folder), request, whole, book, frames_at_once(len(engine.usable()))
             )
         finally:
-            _move(Path(work), out, OF_SEQUENCE)
+            move_files(Path(work), out, OF_SEQUENCE)
         _raise_problem(outcome)
         return tuple(book.receipts[frame] for frame in sorted(book.receipts))
 
@@ -130,7 +133,7 @@ def render_plan(
         outcome = _pictures(engine, folder).run(picture)
         _raise_problem(outcome)
         assert outcome.receipt is not None
-        _move(Path(work), out, ALL)
+        move_files(Path(work), out, ALL)
         return outcome.receipt
 
 
@@ -187,38 +190,6 @@ def _picture(request: JobRequest, work: Path, report: Callable[[ProgressEvent], 
         strict=request.strict,
         measure_effects=request.measure_effects,
     )
-
-
-class _OutBook:
-    """Implements running.FrameBook: files of frames go where the user wants them."""
-
-    def __init__(self, work: Path, out: Path) -> None:
-        self._work = work
-        self._out = out
-        self.receipts: dict[int, Receipt] = {}
-
-    def ended(self) -> dict[int, EndedFrame]:
-        return {}
-
-    def report(self, frame: int, state: JobState, news: Mapping[str, Any]) -> None:
-        pass
-
-    def show(self, frame: int) -> None:
-        pass
-
-    def end(self, frame: int, outcome: Outcome) -> None:
-        here = frame_folder(frame)
-        if outcome.receipt is not None:
-            self.receipts[frame] = outcome.receipt
-            (self._out / here).mkdir(parents=True, exist_ok=True)
-            _move(self._work / here, self._out / here, ALL)
-        shutil.rmtree(self._work / here, ignore_errors=True)
-
-
-def _move(source: Path, target: Path, names: Iterable[str]) -> None:
-    for name in names:
-        if (source / name).exists():
-            shutil.move(source / name, target / name)
 
 
 def _raise_problem(outcome: Outcome) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -83,8 +83,11 @@ class FrameSequence:
         self._control.when_halted(self._halt)
         self._control.when_prioritized(self._prioritize)
         with ThreadPoolExecutor(self._at_once, thread_name_prefix="penumbra-frame") as pool:
-            for _ in range(self._at_once):
-                pool.submit(self._work)
+            try:
+                wait([pool.submit(self._work) for _ in range(self._at_once)])
+            except BaseException:  # Ctrl-C: the pool's end waits for its threads
+                self._halt(Halt.SHUTDOWN)
+                raise
         if self._crashed is not None:
             raise self._crashed
         if not self._progress.complete and not self._hopeless:

@@ -8,14 +8,19 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 from penumbra_scene.exits import Exit
+from penumbra_scene.parse import job_from_json
 from penumbra_scene.receipt import Receipt
+from penumbra_service import out_folder
+from penumbra_service.out_folder import finished_frames
 from penumbra_service.service import RenderService
 from penumbra_service.serving import listen, serve, url_of
 from penumbra_service.settings import Settings
@@ -211,6 +216,67 @@ def test_render_leaves_all_results(scene: Path, tmp_path: Path, environment: dic
     assert receipt.effects_measured.noise[-1].group == "interactions"
     assert "32 samples a pixel" in result.stdout
     assert str(out / "result.exr") in result.stdout
+
+
+def test_a_render_of_frames_goes_on_after_ctrl_c(
+    tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = tmp_path / "triangle.obj"
+    mesh.write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n")
+    document = {**SCENE, "shapes": [{"type": "mesh", "source": {"file": mesh.name}}]}
+    scene, out = tmp_path / "scene.json", tmp_path / "out"
+    scene.write_text(json.dumps(document))
+    words = ["render", str(scene), "--out", str(out), "--seed", "7"]
+    process = subprocess.Popen(
+        [*PENUMBRA, *words, "--frames", "1-5000"], env=environment, stderr=subprocess.PIPE, text=True
+    )
+    receipts = [out / "frames" / f"{n:04d}" / "receipt.json" for n in range(1, 4)]
+    deadline = time.monotonic() + 120
+    while not all(path.is_file() for path in receipts):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    assert "interrupted" in process.communicate(timeout=60)[1]
+    assert process.returncode == Exit.INTERRUPTED
+    assert {path.name for path in out.iterdir()} == {"frames", "contact_sheet.png"}
+
+    (out / "frames" / "0003" / "result.exr").unlink()
+    before = [path.read_bytes() for path in receipts]
+    again = _penumbra(*words, "--frames", "1-3", "--json", environment=environment)
+    assert again.returncode == Exit.OK, again.stderr
+    assert "2 of 3 frames were there already; --force renders them anew" in again.stderr
+    assert [told["frame"] for told in json.loads(again.stdout)] == [1, 2, 3]
+    assert [path.read_bytes() == old for path, old in zip(receipts, before, strict=True)] == [
+        True,
+        True,
+        False,
+    ]
+    assert (out / "frames" / "0003" / "result.exr").is_file()
+    forced = _penumbra(*words, "--frames", "1", "--force", environment=environment)
+    assert (forced.returncode, "already" in forced.stderr) == (Exit.OK, False)
+
+    def kept(**changes: Any) -> list[int]:
+        asked = {"scene": document, "frames": "2-9", "sampler": {"type": "sobol", "seed": "7"}, **changes}
+        return sorted(finished_frames(job_from_json(asked, allow_files=True), tmp_path, out))
+
+    assert kept()[:2] == [2, 3]
+    assert kept(name="another name", priority=3)[:2] == [2, 3]
+    for changes in (
+        {"sampler": {"type": "sobol", "seed": "8"}},
+        {"stop": {"samples": 32}},
+        {"film": {"width": 17, "height": 16}},
+        {"fps": 25.0},
+        {"measure_effects": True},
+    ):
+        assert kept(**changes) == []
+    with monkeypatch.context() as patch:
+        patch.setattr(out_folder, "kernel_hash", lambda: "another")
+        assert kept() == []
+    receipts[1].write_text(receipts[1].read_text()[:-9])
+    assert kept()[:1] == [3]
+    mesh.touch()
+    assert kept() == []
 
 
 def test_render_reads_files_beside_the_scene(tmp_path: Path, environment: dict[str, str]) -> None:

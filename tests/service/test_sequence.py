@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -190,3 +191,21 @@ def test_a_mistake_in_a_frame_is_no_silent_end() -> None:
 
 def test_frames_at_once_follow_the_devices() -> None:
     assert [frames_at_once(n) for n in (0, 1, 2, 10, 10_000)] == [3, 3, 4, 12, 64]
+
+
+def test_ctrl_c_stops_the_frames_that_run_and_begins_no_others() -> None:
+    begun: list[int] = []
+
+    def render(task: FrameTask) -> Outcome:
+        begun.append(task.number)
+        if len(begun) == 2:
+            _thread.interrupt_main()
+        deadline = time.monotonic() + 20
+        while task.control.reason is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert task.control.reason is Halt.SHUTDOWN
+        return Outcome()
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tuple(range(10)), render)
+    assert sorted(begun) == [0, 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,6 +26,9 @@ receipt in a folder.
   penumbra render scene.json --out out --error 1% --seconds 300 as good as 1 %, but in five minutes at most
   penumbra render scene.json --out out --sampler jittered --seed 7
   penumbra render scene.json --out out --frames 1-24 --fps 24   a folder for each frame, and a contact sheet
+
+A render of several frames that was ended early (by Ctrl-C, say) goes on when it is asked for again: frames in the
+folder whose receipt is of the same scene, seed and settings are kept.
 """
 
 
@@ -35,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device", metavar="IDS", default="", help="OpenCL devices, commas between them (default: all)"
     )
+    parser.add_argument("--force", action="store_true", help="render frames anew that are there")
     parser.add_argument(
         "--json",
         action="store_true",
@@ -62,15 +67,15 @@ def _render(engine: Engine, arguments: argparse.Namespace) -> int:
     request = checked_request(document, settings(arguments, document))
     for pointer, name in named_files(document):
         resolve_file(folder, name, pointer)
-    out = Path(arguments.out)
+    out, begun = Path(arguments.out), datetime.now(UTC)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with ProgressView(arguments.quiet) as view:
-            receipts = engine.render(request, folder, out, arguments.device, view)
+            receipts = engine.render(request, folder, out, arguments.device, view, anew=arguments.force)
     except OSError as error:
         raise cannot_write(out, error) from error
     if request.sequence:
-        print_frames(receipts, out, arguments.json)
+        print_frames(receipts, out, arguments.json, begun)
     elif arguments.json:
         print(receipts[0].model_dump_json(indent=1))
     else:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 
 from penumbra_scene.job import Interval, JobStatus, StopReason
@@ -45,8 +47,13 @@ def print_receipt(receipt: Receipt, folder: Path) -> None:
     _print_paths({name: folder / file for name, file in RESULTS.items() if (folder / file).exists()})
 
 
-def print_frames(receipts: Sequence[Receipt], folder: Path, as_json: bool) -> None:
-    """The same of a sequence of frames; with `as_json` a list of the receipts."""
+def print_frames(receipts: Sequence[Receipt], folder: Path, as_json: bool, begun: datetime) -> None:
+    """The same of a sequence of frames; with `as_json` a list of the receipts. Those from before `begun` were kept."""
+    kept = sum(receipt.created < begun for receipt in receipts)
+    if kept:
+        print(
+            f"{kept} of {len(receipts)} frames were there already; --force renders them anew", file=sys.stderr
+        )
     if as_json:
         print(f"[{','.join(receipt.model_dump_json() for receipt in receipts)}]")
         return
