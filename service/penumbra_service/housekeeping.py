@@ -1,5 +1,5 @@
 """Removes what nobody needs any more: files that a killed process left, and, as old as the settings say, jobs that have
-ended, assets that no job names, decoded copies that nobody used. Once at the start and every hour."""
+ended, assets that no job names, decoded copies and contents of the farm that nobody used. Once at the start and every hour."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from penumbra_service.job_queue import OPEN
 from penumbra_service.settings import Settings
 from penumbra_service.store.artifacts import Artifacts
 from penumbra_service.store.assets import AssetStore
+from penumbra_service.store.contents import ContentStore, contents_url
 from penumbra_service.store.jobs import JobStore
 
 log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ class Housekeeper:
         self._jobs = jobs
         self._artifacts = artifacts
         self._assets = assets
+        self._contents = ContentStore(contents_url(settings.artifacts))
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -66,6 +68,7 @@ class Housekeeper:
         self.remove_jobs(now)
         self.remove_assets(now)
         self.remove_decoded(now)
+        self.remove_contents(now)
 
     def sweep_leftovers(self) -> None:
         """Folders of jobs that have ended, uploads that never did."""
@@ -121,6 +124,15 @@ class Housekeeper:
                 path.rename(aside)
                 shutil.rmtree(aside, ignore_errors=True)
         return len(old)
+
+    def remove_contents(self, now: datetime) -> int:
+        """Scenes and assets in the artifact store that no service has had a worker fetch for long; how many those were."""
+        if not self._settings.keep_contents_days:
+            return 0
+        removed = self._contents.remove_unused(now - timedelta(days=self._settings.keep_contents_days))
+        if removed:
+            log.info("%d files that workers fetched long ago: removed", removed)
+        return removed
 
 
 def _used(path: Path) -> float:

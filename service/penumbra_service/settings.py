@@ -89,6 +89,9 @@ class Settings:
     """Days after its upload that an asset which no job names is removed; 0: never."""
     keep_decoded_days: float = 30.0
     """Days without use after which the decoded copy of an asset is removed; 0: never."""
+    keep_contents_days: float = 30.0
+    """Days without use after which what a farm's workers fetch is removed from the artifact store; 0: never, else at
+    least 1."""
 
     def __post_init__(self) -> None:
         for name in ("max_body_bytes", "max_asset_bytes", "decode_memory_bytes"):
@@ -100,6 +103,9 @@ class Settings:
         _require(self.jobs_at_once >= 0, "jobs_at_once", self.jobs_at_once, "a whole number of at least 0")
         for name in ("keep_days", "keep_assets_days", "keep_decoded_days"):
             _require(getattr(self, name) >= 0, name, getattr(self, name), "a number of at least 0")
+        # A service says every few hours what it uses.
+        days = self.keep_contents_days
+        _require(days == 0 or days >= 1, "keep_contents_days", days, "0, or a number of at least 1")
         formats = ("text", "json")
         _require(self.log_format in formats, "log_format", self.log_format, ", ".join(formats))
         for name in ("decode_seconds", "heartbeat_seconds"):

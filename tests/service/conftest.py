@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -46,3 +47,11 @@ def s3_url(s3_server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     fsspec.filesystem("s3").mkdir(bucket)
     yield f"s3://{bucket}/results"
     s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture(params=["folder", "memory", "s3"])
+def files_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """An empty place for files, in each kind of file system: what is stored must not depend on it."""
+    if request.param == "s3":
+        return str(request.getfixturevalue("s3_url"))
+    return str(tmp_path / "store") if request.param == "folder" else f"memory://{uuid.uuid4().hex}"

@@ -14,6 +14,7 @@ from penumbra_service.settings import Settings
 from penumbra_service.store.artifacts import Artifacts
 from penumbra_service.store.assets import AssetStore, StoredAsset
 from penumbra_service.store.content import NoSuchAssetError
+from penumbra_service.store.contents import ContentStore, contents_url, digest_of
 from penumbra_service.store.database import Database
 from penumbra_service.store.jobs import NewJob, NoSuchJobError, SqlJobStore
 
@@ -24,7 +25,9 @@ class House:
     """A service's stores."""
 
     def __init__(self, folder: Path) -> None:
-        self.settings = Settings(data=folder, keep_days=10, keep_assets_days=20, keep_decoded_days=30)
+        self.settings = Settings(
+            data=folder, keep_days=10, keep_assets_days=20, keep_decoded_days=30, keep_contents_days=40
+        )
         self.database = Database(self.settings.database)
         self.database.migrate()
         self.jobs = SqlJobStore(self.database)
@@ -93,6 +96,21 @@ def test_decoded_copies_go_once_nobody_has_used_them_for_long(house: House) -> N
     assert house.keeper(keep_decoded_days=0.0).remove_decoded(NOW) == 0
     assert house.keeper().remove_decoded(NOW) == 1
     assert [path.name for path in kind.iterdir()] == ["new"]
+
+
+def test_contents_that_no_worker_was_sent_for_go_and_results_stay(house: House) -> None:
+    job = house.job("done", 0)
+    contents = ContentStore(contents_url(house.settings.artifacts))
+    source = house.settings.data / "source"
+    contents.put(digest_of(source), source)
+    (path,) = (Path(house.settings.artifacts) / "contents").rglob(digest_of(source))
+    then = (NOW - timedelta(days=41)).timestamp()
+    os.utime(path, (then, then))
+    os.utime(Path(house.settings.artifacts) / job / "frames/0001/result.exr", (then, then))
+    assert house.keeper(keep_contents_days=0.0).remove_contents(NOW) == 0
+    assert house.keeper().remove_contents(NOW) == 1
+    assert not path.exists()
+    assert house.artifacts.exists(job, "frames/0001/result.exr")
 
 
 def test_folders_of_jobs_that_ended_are_swept_and_those_of_open_ones_stay(house: House) -> None:

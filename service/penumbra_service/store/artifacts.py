@@ -3,18 +3,14 @@ default."""
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import fsspec
-from fsspec.implementations.local import LocalFileSystem
+from penumbra_service.store.files import CHUNK_BYTES, Files
 
-CHUNK_BYTES: Final = 1 << 20
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -35,55 +31,44 @@ class Artifacts:
 
     def __init__(self, url: str) -> None:
         """`url` as fsspec takes it: a folder's path, memory://..., s3://bucket/prefix."""
-        self._files: Any
-        # Others write as well: what was listed once is no answer.
-        self._files, root = fsspec.core.url_to_fs(url, use_listings_cache=False)
-        self._root = str(root).rstrip("/")
-        self._local = isinstance(self._files, LocalFileSystem)
+        self._files = Files(url)
 
     def put(self, job_id: str, name: str, source: Path) -> None:
         """Stores the file `source`, which is left alone, replacing what was there. `name` may have folders."""
-        path = self._path(job_id, name)
-        self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
-        # A store of objects shows one once it is whole; to rename there would be to copy.
-        aside = f"{path}.{os.getpid()}.part" if self._local else path
-        with source.open("rb") as reader, self._files.open(aside, "wb") as writer:
-            shutil.copyfileobj(reader, writer, CHUNK_BYTES)
-        if self._local:
-            self._files.mv(aside, path)
+        self._files.write(self._path(job_id, name), source)
 
     def info(self, job_id: str, name: str) -> ArtifactInfo:
         """Raises NoSuchArtifactError."""
         try:
-            found = self._files.info(self._path(job_id, name))
+            found = self._files.system.info(self._path(job_id, name))
         except FileNotFoundError:
             raise NoSuchArtifactError(f"job {job_id} has no {name}") from None
         stamp = found.get("ETag") or found.get("mtime") or found.get("created") or found.get("LastModified")
         return ArtifactInfo(int(found["size"]), f"{stamp}-{found['size']}".replace('"', ""))
 
     def exists(self, job_id: str, name: str) -> bool:
-        return bool(self._files.exists(self._path(job_id, name)))
+        return bool(self._files.system.exists(self._path(job_id, name)))
 
     def local_path(self, job_id: str, name: str) -> Path | None:
         """Where the bytes lie if the file system is this machine's, else None. Raises NoSuchArtifactError."""
         self.info(job_id, name)
-        return Path(self._path(job_id, name)) if self._local else None
+        return Path(self._path(job_id, name)) if self._files.local else None
 
     def read(self, job_id: str, name: str) -> Iterator[bytes]:
         """The bytes, in chunks. Raises NoSuchArtifactError before the first one."""
         self.info(job_id, name)
-        with self._files.open(self._path(job_id, name), "rb") as reader:
+        with self._files.system.open(self._path(job_id, name), "rb") as reader:
             while chunk := reader.read(CHUNK_BYTES):
                 yield chunk
 
     def remove(self, job_id: str) -> None:
         """Forgets everything of this job; nothing happens where there is nothing."""
         folder = self._path(job_id, "x")[:-2]
-        if self._files.exists(folder):
-            self._files.rm(folder, recursive=True)
+        if self._files.system.exists(folder):
+            self._files.system.rm(folder, recursive=True)
 
     def _path(self, job_id: str, name: str) -> str:
         for part in (job_id, *name.split("/")):
             if _NAME.fullmatch(part) is None:
                 raise NoSuchArtifactError(f"{part!r} is no name of an artifact")
-        return f"{self._root}/{job_id}/{name}"
+        return f"{self._files.root}/{job_id}/{name}"

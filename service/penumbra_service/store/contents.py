@@ -11,14 +11,15 @@ import os
 import shutil
 import tempfile
 from collections.abc import Collection
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Final
-
-import fsspec
+from typing import Final
 
 from penumbra_service.store.content import asset_file
+from penumbra_service.store.files import CHUNK_BYTES, Files
 
-CHUNK_BYTES: Final = 1 << 20
+RENEW: Final = timedelta(hours=6)
+"""What is put again so long after the last time counts as used from then on: far sooner than anything is removed."""
 FOLDER: Final = "contents"
 """Within the artifact store."""
 
@@ -43,20 +44,25 @@ class ContentStore:
 
     def __init__(self, url: str) -> None:
         """`url` as fsspec takes it: a folder's path, s3://bucket/prefix."""
-        self._files: Any
-        self._files, root = fsspec.core.url_to_fs(url)
-        self._root = str(root).rstrip("/")
+        self._files = Files(url)
 
     def put(self, sha256: str, source: Path) -> None:
-        """Store `source` under its digest, unless it is there. It appears wholly or not at all."""
+        """Store `source` under its digest, unless it is there, and have it count as used just now (to within RENEW). It
+        appears wholly or not at all."""
         path = self._path(sha256)
-        if self._files.exists(path):
-            return
-        self._files.makedirs(path.rsplit("/", 1)[0], exist_ok=True)
-        aside = f"{path}.{os.getpid()}.part"
-        with source.open("rb") as reader, self._files.open(aside, "wb") as writer:
-            shutil.copyfileobj(reader, writer, CHUNK_BYTES)
-        self._files.mv(aside, path)
+        used = self._files.modified(path)
+        if used is None or used < datetime.now(UTC) - RENEW:
+            self._files.renew(path, source)
+
+    def remove_unused(self, before: datetime) -> int:
+        """Remove what nobody has put since then, and what a killed process left half written; how many files that were.
+        Others may put and remove at the same time: what is put again meanwhile stays, or comes back with the next put."""
+        removed = 0
+        for path, used in self._files.find():
+            # Asked once more: the list may be old by now.
+            if used < before and (self._files.modified(path) or before) < before:
+                removed += self._files.remove(path)
+        return removed
 
     def fetch(self, sha256: str, folder: Path) -> Path:
         """The file's copy in `folder`, filed as assets are; fetched unless it is there. Raises
@@ -68,7 +74,10 @@ class ContentStore:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=".fetch-", dir=target.parent)
         try:
-            with os.fdopen(handle, "wb") as writer, self._files.open(self._path(sha256), "rb") as reader:
+            with (
+                os.fdopen(handle, "wb") as writer,
+                self._files.system.open(self._path(sha256), "rb") as reader,
+            ):
                 shutil.copyfileobj(reader, writer, CHUNK_BYTES)
             if digest_of(Path(name)) != sha256:
                 raise BrokenContentError(f"the bytes of {self._path(sha256)} have another SHA-256")
@@ -78,7 +87,7 @@ class ContentStore:
         return target
 
     def _path(self, sha256: str) -> str:
-        return str(asset_file(Path(self._root), sha256))
+        return str(asset_file(Path(self._files.root), sha256))
 
 
 def trim(folder: Path, max_bytes: int, keep: Collection[Path] = ()) -> None:

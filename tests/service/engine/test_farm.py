@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import os
 import socket
 import ssl
 import stat
 import sys
+import tempfile
 import threading
 import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from penumbra_service.engine.dask import publisher as publishing
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.certs import ROLES, CertsExistError, make_certs
+from penumbra_service.engine.dask.publisher import Publisher
 from penumbra_service.engine.dask.scheduler import SchedulerOptions, serve_scheduler
 from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
 from penumbra_service.engine.dask.wire import NotPortableError, publish
@@ -114,9 +120,9 @@ def _file(path: Path, data: bytes) -> tuple[str, Path]:
     return hashlib.sha256(data).hexdigest(), path
 
 
-@pytest.fixture(params=["folder", "memory"])
-def store(request, tmp_path):  # type: ignore[no-untyped-def]
-    return ContentStore(str(tmp_path / "store") if request.param == "folder" else f"memory://{tmp_path.name}")
+@pytest.fixture
+def store(files_url: str) -> ContentStore:
+    return ContentStore(files_url)
 
 
 def test_contents_come_back_as_they_were_and_are_fetched_once(store, tmp_path):  # type: ignore[no-untyped-def]
@@ -170,6 +176,28 @@ def test_a_scene_is_published_with_the_assets_that_it_names(store, tmp_path):  #
     assert contents.assets == (digest,)
     assert store.fetch(digest, tmp_path / "cache").read_bytes() == b"o"
     assert store.fetch(contents.scene, tmp_path / "cache").read_bytes().startswith(b'{"asset"')
+
+
+def test_a_scene_that_has_gone_from_the_store_is_published_again(files_url, tmp_path, monkeypatch):  # type: ignore[no-untyped-def]
+    store = ContentStore(files_url)
+    spec = _spec(tmp_path, b"{}")
+
+    async def publish_twice(between: Callable[[Publisher], None]) -> bool:
+        publisher = Publisher(files_url)
+        contents = await publisher.contents_of(spec)
+        store.remove_unused(datetime.now(UTC) + timedelta(days=1))
+        between(publisher)
+        assert await publisher.contents_of(spec) == contents
+        try:
+            store.fetch(contents.scene, Path(tempfile.mkdtemp(dir=tmp_path)))
+        except FileNotFoundError:
+            return False
+        return True
+
+    assert not asyncio.run(publish_twice(lambda publisher: None))  # it is not asked about for every lease
+    assert asyncio.run(publish_twice(lambda publisher: publisher.forget(spec)))  # a worker could not fetch it
+    monkeypatch.setattr(publishing, "AGAIN_SECONDS", -1.0)
+    assert asyncio.run(publish_twice(lambda publisher: None))  # long ago
 
 
 def test_scenes_with_files_beside_them_stay_on_their_machine(store, tmp_path):  # type: ignore[no-untyped-def]

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from penumbra_service.store import contents as module
 from penumbra_service.store.artifacts import Artifacts, NoSuchArtifactError
 from penumbra_service.store.assets import AssetDigestError, AssetStore, AssetTooLargeError, StoredAsset
 from penumbra_service.store.content import NoSuchAssetError, asset_file
+from penumbra_service.store.contents import ContentStore
 from penumbra_service.store.database import Database
-from penumbra_service.store.ids import new_id
 
 
-@pytest.fixture(params=["folder", "memory", "s3"])
-def artifacts(request: pytest.FixtureRequest, tmp_path: Path) -> Artifacts:
-    if request.param == "s3":
-        return Artifacts(request.getfixturevalue("s3_url"))
-    return Artifacts(str(tmp_path / "results") if request.param == "folder" else f"memory://{new_id()}")
+def after_all() -> datetime:
+    """When all that there is now is old."""
+    return datetime.now(UTC) + timedelta(days=1)
+
+
+@pytest.fixture
+def artifacts(files_url: str) -> Artifacts:
+    return Artifacts(files_url)
 
 
 def test_artifacts_are_stored_replaced_and_removed(artifacts: Artifacts, tmp_path: Path) -> None:
@@ -77,6 +84,98 @@ def test_names_cannot_leave_the_folder(artifacts: Artifacts, name: str, tmp_path
             artifacts.put(job_id, artifact, tmp_path / "source")
         with pytest.raises(NoSuchArtifactError):
             artifacts.info(job_id, artifact)
+
+
+@pytest.fixture
+def contents(files_url: str) -> ContentStore:
+    return ContentStore(files_url)
+
+
+def put(contents: ContentStore, folder: Path, data: bytes) -> str:
+    source = folder / "source"
+    source.write_bytes(data)
+    digest = hashlib.sha256(data).hexdigest()
+    contents.put(digest, source)
+    return digest
+
+
+def has(contents: ContentStore, digest: str, folder: Path) -> bool:
+    try:
+        contents.fetch(digest, folder)
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def test_contents_go_once_nobody_has_put_them_for_long(
+    contents: ContentStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert contents.remove_unused(after_all()) == 0  # there is nothing yet
+    used, unused = put(contents, tmp_path, b"used"), put(contents, tmp_path, b"unused")
+    assert contents.remove_unused(datetime.now(UTC) - timedelta(seconds=5)) == 0
+    time.sleep(1.1)  # a store of objects tells times in whole seconds
+    between = datetime.now(UTC)
+    put(contents, tmp_path, b"used")  # used a moment ago anyway
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "RENEW", timedelta(0))
+        time.sleep(1.1)
+        put(contents, tmp_path, b"used")
+    assert contents.remove_unused(between) == 1
+    assert has(contents, used, tmp_path / "one")
+    assert not has(contents, unused, tmp_path / "one")
+    assert put(contents, tmp_path, b"unused") == unused
+    assert has(contents, unused, tmp_path / "two")
+
+
+def test_what_is_put_while_others_are_removed_stays(
+    contents: ContentStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest = put(contents, tmp_path, b"data")
+    listed = [(path, datetime.now(UTC) - timedelta(days=40)) for path, _ in contents._files.find()]
+    monkeypatch.setattr(contents._files, "find", lambda: iter(listed))  # as it was before the put
+    assert contents.remove_unused(datetime.now(UTC) - timedelta(days=30)) == 0
+    assert has(contents, digest, tmp_path / "copy")
+
+
+def test_services_that_put_and_remove_at_once_harm_nobody(contents: ContentStore, tmp_path: Path) -> None:
+    data = [bytes([n]) * 100_000 for n in range(8)]
+
+    def use(n: int) -> None:
+        folder = tmp_path / str(n)
+        folder.mkdir()
+        for _ in range(6):
+            put(contents, folder, data[n % 8])
+
+    def clean() -> None:
+        for _ in range(6):
+            contents.remove_unused(after_all())
+
+    with ThreadPoolExecutor(12) as pool:
+        done = [pool.submit(use, n) for n in range(10)] + [pool.submit(clean) for _ in range(2)]
+    assert [future.result() for future in done] == [None] * 12  # nobody met an error
+    digests = [put(contents, tmp_path, part) for part in data]
+    assert all(has(contents, digest, tmp_path / "copies") for digest in digests)  # whole: digests are checked
+
+
+def test_an_upload_that_is_under_way_stays_and_one_that_died_goes(tmp_path: Path) -> None:
+    contents = ContentStore(str(tmp_path / "store"))
+    put(contents, tmp_path, b"data")
+    dead, alive = tmp_path / "store" / "ab" / "x.part", tmp_path / "store" / "ab" / "y.part"
+    dead.parent.mkdir()
+    dead.write_bytes(b"")
+    alive.write_bytes(b"")
+    days = 86400.0
+    os.utime(dead, (time.time() - 31 * days,) * 2)
+    assert contents.remove_unused(datetime.now(UTC) - timedelta(days=30)) == 1
+    assert not dead.exists()
+    assert alive.exists()
+
+
+def test_a_source_that_fails_leaves_nothing_half_written(artifacts: Artifacts, tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError):
+        artifacts.put("job", "result.exr", tmp_path)
+    assert not artifacts.exists("job", "result.exr")
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 @pytest.fixture

@@ -25,15 +25,14 @@ from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.agent import describe_worker, do_lease
+from penumbra_service.engine.dask.publisher import Publisher
 from penumbra_service.engine.dask.remote import PING_SECONDS, Carried, RemoteDevice
 from penumbra_service.engine.dask.wire import (
     Answer,
-    Contents,
     FarmLease,
     Joined,
     NotPortableError,
     loaded_from_event,
-    publish,
 )
 from penumbra_service.engine.protocol import (
     DeviceDescription,
@@ -41,12 +40,10 @@ from penumbra_service.engine.protocol import (
     LeaseLost,
     LeaseResult,
     LeaseSource,
-    RenderSpec,
 )
 from penumbra_service.engine.snapshot import kernel_hash
 from penumbra_service.engine.sources import LeaseSources
 from penumbra_service.jobs.dispatch import IN_FLIGHT
-from penumbra_service.store.contents import ContentStore
 
 log = logging.getLogger(__name__)
 
@@ -66,13 +63,11 @@ class DaskEngine:
     def __init__(self, scheduler: str, contents: str, tls: Path | None = None) -> None:
         self._scheduler = check_scheduler(scheduler, tls)
         self._security = security(tls if scheduler.startswith("tls:") else None, "client")
-        self._contents_url = contents
-        self._contents = ContentStore(contents)
+        self._publisher = Publisher(contents)
         self._topic = f"penumbra-{uuid.uuid4().hex}"
         self._sources = LeaseSources()
         self._devices: dict[str, RemoteDevice] = {}
         self._joining: set[str] = set()
-        self._published: dict[str, asyncio.Task[Contents]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._woken: asyncio.Event | None = None
@@ -243,7 +238,7 @@ class DaskEngine:
     async def _carry(self, client: Client, device: RemoteDevice, carried: Carried) -> None:
         """Take a lease to its worker and the answer to its job."""
         try:
-            contents = await self._contents_of(carried.lease.spec)
+            contents = await self._publisher.contents_of(carried.lease.spec)
         except (OSError, NotPortableError) as error:
             kind = "storage" if isinstance(error, OSError) else "scene"
             self._answered(
@@ -269,15 +264,6 @@ class DaskEngine:
         finally:
             future.release()
 
-    async def _contents_of(self, spec: RenderSpec) -> Contents:
-        """Where workers find a spec's scene; it is published once. Raises OSError, NotPortableError."""
-        key = f"{spec.key} {spec.scene_path}"
-        task = self._published.get(key)
-        if task is None or (task.done() and (task.cancelled() or task.exception() is not None)):
-            work = asyncio.to_thread(publish, spec, self._contents, self._contents_url)
-            task = self._published[key] = asyncio.create_task(work)
-        return await asyncio.shield(task)
-
     def _scene_loaded(self, event: dict[str, Any]) -> None:
         loaded = loaded_from_event(event)
         device = self._devices.get(str(event.get("worker")))
@@ -299,6 +285,8 @@ class DaskEngine:
             blamed = answer.lease if answer.blamed else None
             self._sources.lose([carried], device.description, answer.reason, blamed)
             return
+        if isinstance(answer, LeaseFailure):
+            self._publisher.forget(carried.lease.spec)
         if isinstance(answer, LeaseResult):
             device.leases_done += 1
             device.rate.measure(answer)
