@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+from block import table
 from matplotlib.axes import Axes
 
 plt.switch_backend("svg")
@@ -33,13 +34,6 @@ COLORS = {
     "mitsuba_llvm/multijitter": "#c0561a",
 }
 BEST = "mitsuba_llvm/multijitter"
-
-
-def table(head: Row, rows: Iterable[Row]) -> str:
-    """Markdown."""
-    heads = [str(cell) for cell in head]
-    lines = [heads, ["---"] * len(heads), *([str(cell) for cell in row] for row in rows)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def number(value: float | None) -> str:

@@ -1,6 +1,8 @@
 """A farm on Slurm by dask-jobqueue: this program holds the scheduler, Slurm starts the workers.
 
 python docs/deploy/slurm.py --jobs 16 --tls certs [--queue gpu] [--walltime 04:00:00] [--cpus 32]
+
+With --script it prints what it would give to sbatch, and ends.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ def main() -> None:
     parser.add_argument("--walltime", default="04:00:00")
     parser.add_argument("--cpus", type=int, default=32, help="cores of a node")
     parser.add_argument("--memory", default="32GB", help="of a node")
+    parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="of the scheduler")
+    parser.add_argument("--script", action="store_true", help="print the job that sbatch would get, and end")
     options = parser.parse_args()
     cluster = SLURMCluster(
         queue=options.queue,
@@ -32,8 +36,8 @@ def main() -> None:
         memory=options.memory,
         nanny=False,
         protocol="tls",
-        security=security(options.tls, "scheduler", "worker", "client"),
-        scheduler_options={"port": DEFAULT_PORT, "dashboard_address": "127.0.0.1:8787"},
+        security=security(options.tls.absolute(), "scheduler", "worker", "client"),
+        scheduler_options={"port": options.port, "dashboard_address": "127.0.0.1:8787"},
         job_script_prologue=[f"export POCL_MAX_PTHREAD_COUNT={options.cpus}"],
         worker_extra_args=[
             "--preload",
@@ -42,6 +46,10 @@ def main() -> None:
             "127.0.0.1:0",
         ],
     )
+    if options.script:
+        print(cluster.job_script())
+        cluster.close()
+        return
     cluster.scale(jobs=options.jobs)
     print(f"penumbra serve --scheduler {cluster.scheduler_address} --tls {options.tls}", flush=True)
     leave = threading.Event()

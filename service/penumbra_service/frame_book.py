@@ -14,6 +14,7 @@ from penumbra_scene.job import JobState, StopReason
 from penumbra_service import results
 from penumbra_service.running import EndedFrame, Outcome
 from penumbra_service.store.artifacts import Artifacts
+from penumbra_service.store.database import gently
 from penumbra_service.store.frames import FrameStore
 
 
@@ -51,9 +52,12 @@ class ServiceFrameBook:
         }
 
     def report(self, frame: int, state: JobState, news: Mapping[str, Any]) -> None:
-        self._store.put(self._job, frame, state, news)
+        gently(lambda: self._store.put(self._job, frame, state, news))
 
     def show(self, frame: int) -> None:
+        gently(lambda: self._show(frame))
+
+    def _show(self, frame: int) -> None:
         self._publish(frame, (results.THUMBNAIL, results.HEATMAP))
         self._store.note_picture(self._job, frame)
         with self._lock:

@@ -26,7 +26,7 @@ from penumbra_service.log_context import bind
 from penumbra_service.running import Control, Halt, Outcome, Runner, Task
 from penumbra_service.settings import Settings
 from penumbra_service.store.artifacts import Artifacts
-from penumbra_service.store.database import is_passing
+from penumbra_service.store.database import gently, is_passing
 from penumbra_service.store.frames import FrameStore
 from penumbra_service.store.ids import new_id
 from penumbra_service.store.jobs import JobRow, JobStore, NoSuchJobError
@@ -184,7 +184,9 @@ class JobQueue:
                 self._run(held)
             except Exception as error:
                 if is_passing(error):
-                    log.warning("job %s: the ledger cannot be reached; it goes on later: %s", row.id, error)
+                    log.warning(
+                        "job %s: ledger or results cannot be written; it goes on later: %s", row.id, error
+                    )
                     self._abandon(held)
                 else:
                     log.exception("job %s: the service failed", row.id)
@@ -210,13 +212,15 @@ class JobQueue:
 
         def give_up() -> None:
             while not self._stopping:
+                with self._wake:  # what just failed would fail again at once
+                    if self._wake.wait_for(lambda: self._stopping, RETRY_SECONDS):
+                        return
                 try:
                     if self._jobs.move(held.row.id, ACTIVE, JobState.QUEUED, holder=self._name) is not None:
                         self.changed(self._jobs.get(held.row.id))
                     return
-                except Exception:
-                    with self._wake:
-                        self._wake.wait_for(lambda: self._stopping, RETRY_SECONDS)
+                except Exception as error:
+                    log.warning("job %s: it cannot be put back into the queue yet: %s", held.row.id, error)
 
         self._begin(give_up, "penumbra-queue-retry")
 
@@ -293,8 +297,8 @@ class JobQueue:
             row.created,
             row.started or row.created,
             held.control,
-            report=lambda state, news: _gently(lambda: self._report(held, state, news)),
-            show=lambda: _gently(lambda: self._show(held)),
+            report=lambda state, news: gently(lambda: self._report(held, state, news)),
+            show=lambda: gently(lambda: self._show(held)),
             frames=ServiceFrameBook(
                 row.id, folder, self._frames, self._artifacts, show_job=lambda: self._show(held)
             ),
@@ -381,13 +385,3 @@ def _internal_problem() -> Problem:
         500,
         "an error of the service itself ended the job; its log says more",
     )
-
-
-def _gently(tell: Callable[[], None]) -> None:
-    """News for the ledger: where it cannot be reached just now, the next will do."""
-    try:
-        tell()
-    except Exception as error:
-        if not is_passing(error):
-            raise
-        log.warning("the ledger cannot be reached: %s", error)

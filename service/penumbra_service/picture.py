@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -10,12 +11,22 @@ from pathlib import Path
 from typing import Any, Final
 
 from penumbra_scene.errors import Problem, make_problem
-from penumbra_scene.job import ErrorPoint, JobState, Progress
+from penumbra_scene.job import ErrorPoint, JobState, Progress, StopReason
 from penumbra_scene.measured import EffectsMeasured
+from penumbra_scene.receipt import Receipt
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.protocol import ServedEngine
-from penumbra_service.engine.runner import Failure, Halt, JobRunner, RenderTask, RunResult
+from penumbra_service.engine.runner import (
+    SPACE_SECONDS,
+    TICK_SECONDS,
+    Failure,
+    Halt,
+    JobRunner,
+    RenderTask,
+    RunResult,
+)
+from penumbra_service.engine.standing import Standing
 from penumbra_service.engine.task import VERIFY_SHARE, FixedPlan
 from penumbra_service.film.film import MEMORY_LIMIT
 from penumbra_service.film.preview import PreviewImage
@@ -26,6 +37,7 @@ from penumbra_service.measuring import for_receipt
 from penumbra_service.results import Latest, write_pictures, write_results
 from penumbra_service.running import Control, Outcome
 from penumbra_service.running import Halt as Ask
+from penumbra_service.store.room import is_full
 
 log = logging.getLogger(__name__)
 
@@ -65,6 +77,8 @@ class Picture:
     """Say in the receipt what each effect cost."""
     layout: Layout | None = None
     """Of replicates and samples; None: as sampler and stop rule have it."""
+    standing: Standing = field(default_factory=Standing)
+    """Of devices with the job: one for all of its frames."""
     fixed: FixedPlan | None = None
     """Samples that are known beforehand."""
 
@@ -108,6 +122,7 @@ class PictureRunner:
                 decode=self._decode,
                 strict=picture.strict,
                 layout=picture.layout,
+                standing=picture.standing,
                 fixed=picture.fixed,
                 verify=self._verify,
                 wait_for_room=self._patient,
@@ -137,12 +152,28 @@ class PictureRunner:
             effects_measured=measured,
             warnings=warnings,
         )
-        try:
-            receipt = write_results(picture.folder, picture.scene, result, latest.image, context)
-        except OSError as error:
-            log.exception("job %s: its results cannot be written", picture.job)
-            return Outcome(problem=problem_of(Failure("storage", f"its results cannot be written: {error}")))
-        return Outcome(result.reason, receipt=receipt)
+        return self._write(
+            picture,
+            lambda: write_results(picture.folder, picture.scene, result, latest.image, context),
+            result.reason,
+        )
+
+    def _write(self, picture: Picture, write: Callable[[], Receipt], reason: StopReason | None) -> Outcome:
+        """The results, as soon as there is room for them where a full disk is waited for."""
+        while True:
+            try:
+                return Outcome(reason, receipt=write())
+            except OSError as error:
+                if not (self._patient and is_full(error)):
+                    log.exception("job %s: its results cannot be written", picture.job)
+                    told = f"its results cannot be written: {error}"
+                    return Outcome(problem=problem_of(Failure("storage", told)))
+                log.warning("job %s: %s; its results are written when there is room", picture.job, error)
+            end = time.monotonic() + SPACE_SECONDS
+            while time.monotonic() < end:
+                if picture.control.reason is not None:
+                    return Outcome()
+                time.sleep(TICK_SECONDS)
 
     def _measure(self, picture: Picture, result: RunResult) -> tuple[EffectsMeasured | None, tuple[str, ...]]:
         if not picture.measure_effects:

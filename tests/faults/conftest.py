@@ -61,6 +61,11 @@ def free_port() -> int:
         return int(taken.getsockname()[1])
 
 
+@pytest.fixture(name="free_port")
+def _a_free_port() -> int:
+    return free_port()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """`make faults` runs all; the suite leaves out what takes long."""
     if os.environ.get("PENUMBRA_FAULTS") != "all":

@@ -7,11 +7,9 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -147,9 +145,14 @@ def test_a_device_that_refuses_three_times_is_blocked(pocl_farm, render):  # typ
 
 def test_a_device_whose_process_dies_three_times_is_blocked(pocl_farm, render):  # type: ignore[no-untyped-def]
     def disturb() -> None:
-        for _ in range(3):
-            pocl_farm.wait_until(lambda: _busy(pocl_farm.device_pid("two")), "the device works")
-            os.kill(pocl_farm.device_pid("two"), signal.SIGKILL)
+        other = pocl_farm.device_pid("one")
+        os.kill(other, signal.SIGSTOP)  # the job shall not be done before the third
+        try:
+            for _ in range(3):
+                pocl_farm.wait_until(lambda: _busy(pocl_farm.device_pid("two")), "the device works")
+                os.kill(pocl_farm.device_pid("two"), signal.SIGKILL)
+        finally:
+            os.kill(other, signal.SIGCONT)
 
     (receipt,) = render(disturb, share=0.05)
     killed = next(use for use in receipt["devices"] if use["id"] == "pocl:0@two")
@@ -180,24 +183,11 @@ def test_a_worker_that_joins_late_gets_work(pocl_farm, render):  # type: ignore[
     assert late["leases"] > 0
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 64 MiB."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(folder)], capture_output=True, check=False
-    )
-    if mounted.returncode != 0:
-        pytest.skip(f"no file system of its own can be mounted: {mounted.stderr.decode().strip()}")
-    yield folder
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.02, 0.3])
-def test_a_full_disk_is_waited_for(pocl_farm, render, make_service, small_disk, kind, share):  # type: ignore[no-untyped-def]
+def test_a_full_disk_is_waited_for(pocl_farm, render, make_service, mount_disk, kind, share):  # type: ignore[no-untyped-def]
     """It holds all that the service has: database, snapshots, results."""
+    small_disk = mount_disk(64 << 20)
     service = make_service(small_disk / "data", pocl_farm.address)
     service.log = small_disk.with_name("small.log")
     service.start()

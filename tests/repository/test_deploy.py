@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import shlex
 import subprocess
@@ -13,6 +14,8 @@ from typing import Any
 import pytest
 import yaml
 from penumbra_client.cli import make_parser
+from penumbra_service.engine.dask.certs import make_certs
+from penumbra_service.jobs.dispatch import IN_FLIGHT
 from penumbra_service.settings import ENVIRONMENT_PREFIX, FILE_SUFFIX, load_settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,6 +95,18 @@ def test_compose_secrets_are_what_compose_names(tmp_path) -> None:  # type: igno
     assert again.returncode == 1
 
 
+@pytest.mark.parametrize("version", ["1.25", "1.31", "1.37"])
+def test_kubernetes_objects_are_what_its_api_takes(version: str) -> None:
+    """Against the schemas that Kubernetes publishes, without unknown fields."""
+    kubernetes = pytest.importorskip("kubernetes_validate")
+    for found in OBJECTS:
+        kubernetes.validate(found, version, strict=True)
+    broken = copy.deepcopy(OBJECTS[-1])
+    broken["spec"]["template"]["spec"]["containers"][0]["livenessprobe"] = {}
+    with pytest.raises(kubernetes.ValidationError, match="livenessprobe"):
+        kubernetes.validate(broken, version, strict=True)
+
+
 def test_kubernetes_runs_commands_that_exist_as_users_without_rights() -> None:
     assert [c["args"][0] for _, c in _containers()] == ["scheduler", "serve", "worker"]
     for pod, container in _containers():
@@ -133,3 +148,22 @@ def test_slurm_files_are_sound() -> None:
     assert {"penumbra_service.engine.dask.addresses", "penumbra_service.engine.dask.preload"} == set(modules)
     for module in modules:
         assert (ROOT / "service" / (module.replace(".", "/") + ".py")).is_file()
+
+
+def test_dask_jobqueue_gets_a_job_that_starts_a_worker_of_the_farm(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    pytest.importorskip("dask_jobqueue")
+    make_certs(tmp_path / "certs")
+    words = ["--jobs", "1", "--tls", str(tmp_path / "certs"), "--port", "0", "--cpus", "8", "--script"]
+    command = [sys.executable, str(DEPLOY / "slurm.py"), *words, "--queue", "gpu", "--walltime", "01:00:00"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
+    lines = done.stdout.splitlines()
+    for option in ("-p gpu", "--cpus-per-task=8", "-t 01:00:00"):
+        assert f"#SBATCH {option}" in lines
+    assert "export POCL_MAX_PTHREAD_COUNT=8" in lines
+    (worker,) = (line for line in lines if "distributed.cli.dask_worker" in line)
+    given = shlex.split(worker)
+    assert given[given.index("--preload") + 1] == "penumbra_service.engine.dask.preload"
+    assert given[given.index("--nthreads") + 1] == str(IN_FLIGHT)
+    assert "--no-nanny" in given
+    assert any(word.startswith("tls://") for word in given)
+    assert Path(given[given.index("--tls-key") + 1]).is_file()

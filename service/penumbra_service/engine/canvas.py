@@ -89,10 +89,10 @@ class Canvas:
         self._summarize(dict.fromkeys(touched))
 
     def take_lost(self) -> list[WorkItem]:
-        """What must be done again since a tile's file broke while it was not in memory."""
+        """What must be done again since a tile's file broke while it was not in memory, or since its samples are void."""
         lost = self.film.take_lost()
-        for tile in lost:
-            log.warning("%s starts again: its file is broken, or some of its samples are wrong", tile)
+        for tile, why in lost.items():
+            log.warning("%s starts again: %s", tile, why)
             self._summaries.pop(tile, None)
         if lost:
             self._samples = self._count_samples()

@@ -208,7 +208,7 @@ class Course:
 
     def _advance(self) -> str | None:
         while True:
-            self._plan(self.canvas.take_lost())
+            self._plan(self.canvas.take_lost(), again=True)
             self._open()
             if self.canvas.batches.current is None:
                 return "seconds"  # the time rule leaves no room for another batch
@@ -276,9 +276,10 @@ class Course:
             self.save()
             self._plan(items)
 
-    def _plan(self, items: list[WorkItem]) -> None:
+    def _plan(self, items: list[WorkItem], *, again: bool = False) -> None:
+        """`again`: some of it may be under way."""
         if items:
-            self._desk.add(items)
+            self._desk.add(items, again=again)
             self._engine.wake()
 
     def _rate(self) -> float | None:

@@ -32,13 +32,15 @@ class LeaseDesk:
         spec: RenderSpec,
         hungry: Callable[[], None],
         busy: Callable[[bool], None] = lambda busy: None,
+        barred: Callable[[str], bool] = lambda device: False,
         name: str | None = None,
         *,
         strict: bool = False,
         verify: float = 0.0,
     ) -> None:
         """`hungry` is called (engine's thread) when a device asks in vain, once until work is added; `busy` with
-        whether a lease is under way, whenever that may have changed. `name` begins the names of leases: the job's,
+        whether a lease is under way, whenever that may have changed. `barred`: whether a device, by its id, gets nothing
+        of the whole job. `name` begins the names of leases: the job's,
         unless it has several frames. `strict`: all devices must be of the bit class of the first. `verify`: share of
         leases that two devices do."""
         self._job = job
@@ -46,6 +48,7 @@ class LeaseDesk:
         self._spec = spec
         self._hungry = hungry
         self._busy = busy
+        self._barred = barred
         self._lock = threading.Lock()
         self._planner = LeasePlanner(spec.replicates)
         self._numbers: dict[str, int] = {}
@@ -97,10 +100,10 @@ class LeaseDesk:
         tiles = {item.tile: allot(item.tile) for item in items} if allot else {}
         return Lease(lease_id, self._job, self._spec, items, deadline, tiles)
 
-    def add(self, items: Iterable[WorkItem]) -> None:
-        """More work, after what waits already."""
+    def add(self, items: Iterable[WorkItem], *, again: bool = False) -> None:
+        """More work, after what waits already. `again`: some of it may wait or be out."""
         with self._lock:
-            self._planner.add(items)
+            self._planner.add(self._planner.not_under_way(items) if again else items)
             self._asked = False
 
     def answered(self, result: LeaseResult, device: DeviceDescription) -> bool:
@@ -210,7 +213,7 @@ class LeaseDesk:
             return self._planner.out_samples
 
     def _suits(self, device: DeviceDescription) -> bool:
-        if device.id in self._excluded:
+        if device.id in self._excluded or self._barred(device.id):
             return False
         return not self._strict or self._bit_class in (None, device.bit_class)
 

@@ -22,7 +22,7 @@ from penumbra_service.engine.protocol import (
     SceneLoaded,
     ToJob,
 )
-from penumbra_service.engine.task import RunFailedError
+from penumbra_service.engine.task import RenderTask, RunFailedError
 from penumbra_service.engine.trust import Trust
 from penumbra_service.jobs.life import DeviceCrashed, Event, Life, SceneReady, step
 from penumbra_service.jobs.record import Effect, RunRecord
@@ -31,22 +31,23 @@ log = logging.getLogger(__name__)
 
 
 class Replies:
-    """Of one run of `job`; `life` is where it stands. `ready` is called when a device has loaded the scene."""
+    """Of the run of a task; `life` is where it stands. `ready` is called when a device has loaded the scene."""
 
     def __init__(
-        self, job: str, course: Course, desk: LeaseDesk, engine: Engine, ready: Callable[[], None]
+        self, course: Course, desk: LeaseDesk, engine: Engine, task: RenderTask, ready: Callable[[], None]
     ) -> None:
         self._course = course
         self._desk = desk
         self._engine = engine
+        self._task = task
         self._ready = ready
-        self._job = job
         self.life = Life(JobState.COMPILING)
 
     def begin(self, record: RunRecord) -> None:
         """A run, or its next attempt, goes on from this record."""
         self.life = Life(JobState.COMPILING, record.crashes)
-        self._trust = Trust(record, self._desk, self._engine.usable)
+        task = self._task
+        self._trust = Trust(record, self._desk, self._engine.usable, task.standing, task.name)
         self._checked_before = record.checked_leases
 
     def step(self, event: Event) -> None:
@@ -68,6 +69,10 @@ class Replies:
                 self._take_failure(device, event)
             case NoDevice(reason):
                 raise RunFailedError("device", reason)
+
+    def demand_device(self) -> None:
+        """Raises RunFailedError where the job has no device left."""
+        self._trust.demand_device()
 
     def unsure(self) -> bool:
         """Whether to wait for checks that devices are still at, now that the picture is there. Raises RunFailedError
@@ -120,7 +125,7 @@ class Replies:
         use = record.use_of_program(device.id, loaded.program, loaded.program_hash)
         use.background_seconds += loaded.background_seconds
         if before is not None and loaded.background_seconds:
-            log.info("job %s: on device %s the scene's own program takes over", self._job, device.id)
+            log.info("job %s: on device %s the scene's own program takes over", self._task.job, device.id)
         self._trust.use_of(device)
         self._ready()
 

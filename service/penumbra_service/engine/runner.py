@@ -23,12 +23,13 @@ from penumbra_service.engine.desk import LeaseDesk
 from penumbra_service.engine.protocol import DeviceDescription, Engine, Lease, RenderSpec, ToJob
 from penumbra_service.engine.replies import Replies
 from penumbra_service.engine.reporter import Reporter
-from penumbra_service.engine.snapshot import is_full, kernel_hash
+from penumbra_service.engine.snapshot import kernel_hash
 from penumbra_service.engine.task import Failure, Halt, RenderTask, RunFailedError, RunResult
 from penumbra_service.film.preview import PreviewImage
 from penumbra_service.film.replicates import Layout, choose_layout
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.life import StopReached, WentWrong
+from penumbra_service.store.room import is_full
 
 __all__ = ["Failure", "Halt", "JobRunner", "RenderTask", "RunResult"]
 
@@ -70,10 +71,11 @@ class JobRunner:
             verify=task.verify,
             busy=clock.busy,
             name=task.name,
+            barred=task.standing.blocked,
         )
         key = f"{self._scene}-{kernel_hash()}"
         self._course = Course(engine, task, layout, key, self._desk, clock, looked=self._tell_now)
-        self._replies = Replies(task.job, self._course, self._desk, engine, ready=self._tell_now)
+        self._replies = Replies(self._course, self._desk, engine, task, ready=self._tell_now)
         self._reporter = Reporter(on_progress, on_preview)
 
     @property
@@ -164,6 +166,7 @@ class JobRunner:
             self._hear()
             if self._halt is not None:
                 return self._halted(self._halt)
+            self._replies.demand_device()
             if course.reason is None and course.overdue:
                 course.reason = "seconds"
                 continue

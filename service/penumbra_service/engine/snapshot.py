@@ -3,7 +3,6 @@ on it."""
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 from dataclasses import dataclass
@@ -59,11 +58,6 @@ def load(store: TileStore, key: str) -> Snapshot | None:
         return Snapshot(key, int(data["tile_size"]), int(data["checked"]), ends, record)
     except (ValueError, KeyError, TypeError, AttributeError):
         return None
-
-
-def is_full(error: OSError) -> bool:
-    """Whether a disk or a quota is full: it may have room again."""
-    return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 @lru_cache

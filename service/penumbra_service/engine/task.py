@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -11,6 +11,7 @@ from typing import Final
 from penumbra_scene.job import JobState, StopReason
 from penumbra_scene.scene import Scene
 
+from penumbra_service.engine.standing import Standing
 from penumbra_service.film.develop import Developed, develop_bands
 from penumbra_service.film.film import MEMORY_LIMIT, Film
 from penumbra_service.film.levels import LevelMap
@@ -74,6 +75,8 @@ class RenderTask:
     """A full disk does not fail the job: it goes on from its last snapshot when there is room."""
     strict: bool = False
     """Only devices of one bit class: that of the first that works on it."""
+    standing: Standing = field(default_factory=Standing)
+    """Of devices with the job: one for all of its frames."""
     verify: float = VERIFY_SHARE
     """Share of leases that two devices do and whose sums are compared, beside each device's first; 0: none."""
 

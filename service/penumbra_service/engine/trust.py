@@ -14,6 +14,7 @@ from penumbra_kernels.nodes import Tile
 
 from penumbra_service.engine.desk import LeaseDesk
 from penumbra_service.engine.protocol import DeviceDescription, LeaseResult
+from penumbra_service.engine.standing import Standing
 from penumbra_service.engine.task import RunFailedError
 from penumbra_service.jobs.blame import Blame, Verdict
 from penumbra_service.jobs.record import DeviceUse, RunRecord
@@ -24,14 +25,21 @@ Why = Literal["build", "failures", "wrong"]
 
 
 class Trust:
-    """Of one run. `usable`: the engine's devices."""
+    """Of one run. `usable`: the engine's devices; `standing`: what the job's runs share, of which this is `run`."""
 
     def __init__(
-        self, record: RunRecord, desk: LeaseDesk, usable: Callable[[], Iterable[DeviceDescription]]
+        self,
+        record: RunRecord,
+        desk: LeaseDesk,
+        usable: Callable[[], Iterable[DeviceDescription]],
+        standing: Standing,
+        run: str,
     ) -> None:
         self._record = record
         self._desk = desk
         self._usable = usable
+        self._standing = standing
+        self._run = run
         self._blame = Blame()
         self._touched: dict[str, set[Tile]] = defaultdict(set)
         uses = record.devices.values()
@@ -39,8 +47,10 @@ class Trust:
         """Devices whose tiles an earlier run did not write down."""
         self._wrong = {use.id for use in uses if use.blocked == "wrong"}
         for use in uses:
+            standing.failed(run, use.id, use.failures)
             if use.blocked:
                 desk.exclude(use.id)
+                standing.block(use.id)
 
     def believes(self, device: DeviceDescription) -> bool:
         """Whether its answers count."""
@@ -84,16 +94,17 @@ class Trust:
         if use.blocked:  # its other lease, under way when it was blocked
             return
         use.failures += 1
-        verdict = self._blame.failed(device.id, use.failures, tried)
+        failures = self._standing.failed(self._run, device.id, use.failures)
+        verdict = self._blame.failed(device.id, failures, tried)
         if verdict is Verdict.BLOCK:
             self._desk.exclude(device.id)
-            told = f"device {device.id} was left out after {use.failures} failures: {_first_line(reason)}"
+            told = f"device {device.id} was left out after {failures} failures: {_first_line(reason)}"
             self._block(use, "failures", told)
         if verdict is Verdict.FAIL or (verdict is Verdict.BLOCK and not self._desk.allowed(self._usable())):
-            crashes = self._record.crashes
-            raise RunFailedError(
-                "crash", f"{crashes} device processes ended under this job; the last: {reason}"
-            )
+            told = f"{self._record.crashes} device processes ended under this job; the last: {reason}"
+            if verdict is Verdict.BLOCK:
+                self._standing.over = told
+            raise RunFailedError("crash", told)
 
     def disbelieve(self, device: str) -> set[Tile] | None:
         """It gave other sums than two others: whatever it has done is void. The tiles that hold some of it; None: any
@@ -107,6 +118,11 @@ class Trust:
                 self._block(use, "wrong", told)
         return None if device in self._earlier else self._touched.pop(device, set())
 
+    def demand_device(self) -> None:
+        """Raises RunFailedError where another frame has blocked the last device."""
+        if self._standing.over is not None:
+            raise RunFailedError("crash", self._standing.over)
+
     def settle(self) -> None:
         """The picture is about to be finished. Raises RunFailedError where devices contradict each other and nobody
         can tell which is right."""
@@ -119,6 +135,7 @@ class Trust:
 
     def _block(self, use: DeviceUse, why: Why, told: str) -> None:
         use.blocked = why
+        self._standing.block(use.id)
         self._record.warnings.append(told)
         log.warning("%s", told)
 

@@ -52,7 +52,8 @@ class Film:
         self._bytes = 0
         self._dirty: set[Tile] = set()
         self._ranges: dict[Tile, list[tuple[int, int]]] = {}
-        self._lost: list[Tile] = []
+        self._lost: dict[Tile, str] = {}
+        """And why."""
 
     @property
     def tiles(self) -> list[Tile]:
@@ -143,11 +144,12 @@ class Film:
         self._dirty.discard(tile)
         self._store.delete(tile_name(tile))
         if self._ranges.pop(tile, None):
-            self._lost.append(tile)
+            self._lost[tile] = "some of its samples are wrong"
 
-    def take_lost(self) -> list[Tile]:
-        """Tiles whose file turned out broken, or that were discarded, since the last call: they start again."""
-        lost, self._lost = self._lost, []
+    def take_lost(self) -> dict[Tile, str]:
+        """Tiles whose file turned out gone or broken, or that were discarded, since the last call: they start again.
+        Each with the reason."""
+        lost, self._lost = self._lost, {}
         return lost
 
     def flush(self) -> int:
@@ -165,7 +167,8 @@ class Film:
             accumulator = self._read(tile) if tile in self._ranges else None
             if accumulator is None:
                 if self._ranges.pop(tile, None):
-                    self._lost.append(tile)
+                    gone = self._store.read(tile_name(tile)) is None
+                    self._lost[tile] = "its file is gone" if gone else "its file is broken"
                 accumulator = TileAccumulator(tile, self.replicates)
             self._keep(accumulator)
         self._resident.move_to_end(tile)

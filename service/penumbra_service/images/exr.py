@@ -19,6 +19,8 @@ import OpenImageIO as oiio  # noqa: N813 - its own documentation calls it so
 from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
+from penumbra_service.images.room import writes_into
+
 PICTURE_PART: Final = "picture"
 COUNTS_PART: Final = "counts"
 COMPRESSION: Final = "zip"
@@ -62,11 +64,12 @@ class ExrLayout:
 
 
 def write_exr(path: Path, layout: ExrLayout, bands: Iterable[Band]) -> None:
-    """Writes the bands, which come from top to bottom and make up the window. Raises ExrError, ValueError."""
+    """Writes the bands, which come from top to bottom and make up the window. Raises ExrError, ValueError,
+    OSError where the disk is full."""
     handle, name = tempfile.mkstemp(prefix=f".{path.name}-", suffix=".exr", dir=path.parent)
     os.close(handle)
     try:
-        with tempfile.TemporaryFile(dir=path.parent) as counts:
+        with writes_into(path.parent), tempfile.TemporaryFile(dir=path.parent) as counts:
             _write(Path(name), layout, bands, counts)
         _sync(Path(name))
         Path(name).chmod(0o644)

@@ -6,10 +6,12 @@ import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from penumbra_service.images.room import writes_into
 
 _LEVEL: Final = 3
 """Of deflate: its usual 6 takes a third more time for 2 % less."""
@@ -28,16 +30,20 @@ def write_png(path: Path, pixels: NDArray[np.uint8], texts: Mapping[str, str] | 
     handle, name = tempfile.mkstemp(prefix=f".{path.name}-", suffix=".png", dir=path.parent)
     os.close(handle)
     try:
-        writer = oiio.ImageOutput.create(name)
-        if writer is None:
-            raise OSError(oiio.geterror())
-        done = writer.open(name, spec) and writer.write_image(np.ascontiguousarray(pixels)) and writer.close()
-        if not done:
-            raise OSError(writer.geterror())
+        with writes_into(path.parent):
+            writer = oiio.ImageOutput.create(name)
+            if writer is None:
+                raise OSError(oiio.geterror())
+            _write(writer, name, spec, pixels)
         Path(name).chmod(0o644)
         Path(name).replace(path)
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def _write(writer: Any, name: str, spec: Any, pixels: NDArray[np.uint8]) -> None:
+    if not (writer.open(name, spec) and writer.write_image(np.ascontiguousarray(pixels)) and writer.close()):
+        raise OSError(writer.geterror())
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:

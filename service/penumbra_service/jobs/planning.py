@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 
 from penumbra_kernels.layout import LAYERS, SUM
@@ -132,6 +133,28 @@ class LeasePlanner:
         for item in items:
             self._ready.append(item)
             self._ready_samples += self.samples_of(item)
+
+    def not_under_way(self, items: Iterable[WorkItem]) -> list[WorkItem]:
+        """What of these items neither waits nor is out, in their order: of a tile that starts again, what there is to
+        add."""
+        asked = list(items)
+        tiles = {item.tile for item in asked}
+        known: dict[Tile, list[WorkItem]] = {}
+        for item in chain(self._ready, *(lease.items for lease in self._out.values())):
+            if item.tile in tiles:
+                known.setdefault(item.tile, []).append(item)
+        left = []
+        asked.reverse()
+        while asked:
+            item = asked.pop()
+            others = [o for o in known.get(item.tile, ()) if o.first < item.end and item.first < o.end]
+            if not others:
+                left.append(item)
+            elif all(
+                o.count < item.count for o in others
+            ):  # aligned ranges are apart, or one lies within the other
+                asked.extend(reversed(item.halves()))
+        return left
 
     def take(self, device: str) -> PlannedLease | None:
         """The next lease for a device, or None where nothing is ready."""

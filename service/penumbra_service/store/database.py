@@ -7,7 +7,8 @@ hold the write lock from its start, since a busy timeout cannot help a deferred 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +16,10 @@ from typing import Any, Final
 from pydantic_core import from_json
 from sqlalchemy import Connection, Engine, create_engine, event, inspect, make_url
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
+
+from penumbra_service.store.room import is_full
+
+log = logging.getLogger(__name__)
 
 BUSY_MILLISECONDS: Final = 10_000
 MIGRATIONS: Final = Path(__file__).parent / "migrations"
@@ -76,10 +81,23 @@ def newest_revision() -> str:
 
 
 def is_passing(error: BaseException) -> bool:
-    """Whether the same may work in a moment: a connection was dropped, the server restarts, another holds the lock."""
-    return isinstance(error, OperationalError | InterfaceError) or (
-        isinstance(error, DBAPIError) and error.connection_invalidated
+    """Whether the same may work in a moment: a connection was dropped, the server restarts, another holds the lock, the
+    disk is full."""
+    return (
+        isinstance(error, OperationalError | InterfaceError)
+        or (isinstance(error, DBAPIError) and error.connection_invalidated)
+        or is_full(error)
     )
+
+
+def gently(tell: Callable[[], None]) -> None:
+    """News for the ledger, or a new picture: where it cannot be written just now, the next will do."""
+    try:
+        tell()
+    except Exception as error:
+        if not is_passing(error):
+            raise
+        log.warning("the ledger cannot be written: %s", error)
 
 
 def _engine(url: str) -> Engine:

@@ -157,9 +157,20 @@ def test_a_file_that_breaks_while_evicted_is_reported_as_lost(samples, tmp_path)
     film.add(made.node(second, 0, 4))
     (tmp_path / tile_name(first)).write_bytes(b"broken")
     film.add(made.node(first, 4, 2))
-    assert film.take_lost() == [first]
-    assert film.take_lost() == []
+    assert film.take_lost() == {first: "its file is broken"}
+    assert film.take_lost() == {}
     assert film.missing(first, 0, END) == [(0, 4)]
+
+
+def test_a_file_that_somebody_removed_is_called_gone(samples, tmp_path):  # type: ignore[no-untyped-def]
+    made = samples(replicates=4)
+    film = _film(store=FolderTileStore(tmp_path), memory_limit=1)
+    first, second = film.tiles[:2]
+    film.add(made.node(first, 0, 4))
+    film.add(made.node(second, 0, 4))
+    (tmp_path / tile_name(first)).unlink()
+    film.add(made.node(first, 4, 2))
+    assert film.take_lost() == {first: "its file is gone"}
 
 
 def test_a_snapshot_that_reaches_across_an_undecided_check_is_not_used(samples, tmp_path):  # type: ignore[no-untyped-def]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,6 +131,31 @@ def test_a_failed_attempt_leaves_the_old_file(tmp_path: Path, whole: Piece) -> N
     with pytest.raises(ValueError, match="end at row"):
         write_exr(path, layout(), [])
     assert path.read_bytes() == before
+
+
+def test_a_full_disk_is_named_and_never_leaves_half_a_file(
+    whole: Piece, mount_disk: Callable[[int], Path]
+) -> None:
+    """OpenImageIO drops what its last buffer holds, and calls the file written."""
+    disk, page = mount_disk(1 << 20), 4096
+    write_exr(disk / "whole.exr", layout(), bands(whole, 16))
+    data = (disk / "whole.exr").read_bytes()
+    (disk / "whole.exr").unlink()
+    written = 0
+    for pages in range(0, len(data) // page + 48):
+        (disk / "ballast").write_bytes(bytes((1 << 20) - pages * page))
+        failed = None
+        try:
+            write_exr(disk / "a.exr", layout(), bands(whole, 16))
+        except OSError as error:
+            failed = error.errno
+        if failed is None:
+            written += 1
+            assert (disk / "a.exr").read_bytes()[-page:] == data[-page:]  # its head has the time
+            (disk / "a.exr").unlink()
+        assert failed in (None, errno.ENOSPC)
+        assert not (disk / "a.exr").exists()
+    assert written > 0
 
 
 def test_integers_that_do_not_fit_are_refused(tmp_path: Path, whole: Piece) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 
 from penumbra_kernels.nodes import Tile
 from penumbra_service.jobs.planning import (
@@ -125,3 +126,35 @@ def test_rates_follow_measurements():
         planner.done(lease.number, device, lease.samples / rate)
     assert planner.rate == 4e6
     assert planner.rate_of("b") == 3e6
+
+
+def test_a_tile_that_starts_again_is_asked_for_once_in_all():  # type: ignore[no-untyped-def]
+    """Whatever waits, is out, was given back, or is done: with what is added every sample is under way once."""
+    for seed in range(50):
+        rng = random.Random(seed)
+        planner = LeasePlanner(4)
+        planner.add(WorkItem(tile, first, 256) for tile in TILES[:4] for first in (0, 256))
+        out = []
+        for _ in range(rng.randrange(12)):
+            lease = planner.take("a")
+            if lease is None:
+                break
+            turn = rng.random()
+            if turn < 0.4:
+                planner.done(lease.number, "a", rng.choice((0.05, 2.0)))
+            elif turn < 0.6:
+                planner.lost(lease.number)
+            else:
+                out.append(lease)
+        tile = TILES[rng.randrange(4)]
+        before = planner.ready_samples
+        added = planner.not_under_way([WorkItem(tile, 0, 512)])
+        planner.add(added)
+        assert planner.ready_samples == before + sum(map(planner.samples_of, added))
+        ranges = [(i.first, i.end) for lease in out for i in lease.items if i.tile == tile]
+        while (lease := planner.take("b")) is not None:
+            ranges += [(i.first, i.end) for i in lease.items if i.tile == tile]
+        ranges.sort()
+        assert ranges[0][0] == 0
+        assert ranges[-1][1] == 512
+        assert all(a[1] == b[0] for a, b in pairwise(ranges))
