@@ -8,6 +8,7 @@
 // order under the same conditions.
 #include "base/types.h"
 #include "base/effects.h"
+#define PENUMBRA_AHEAD (PENUMBRA_SAMPLER == SAMPLER_SOBOL && !PENUMBRA_DEVICE_GPU && !PENUMBRA_PICK_FREEZE)
 #include "film/filter.cl"
 #include "camera/camera.cl"
 #include "integrators/path.cl"
@@ -121,6 +122,10 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
   const uint x = params->tile_x + pixel % params->tile_width;
   const uint y = params->tile_y + pixel / params->tile_width;
   Sampler sampler = sampler_start(params, x, y, params->first_replicate + replicate);
+#if PENUMBRA_AHEAD
+  Ahead ahead;
+  ahead_start(&sampler, &ahead);
+#endif
   Gather gather;
   gather_start(&gather);
 #if PENUMBRA_ADAPTIVE

@@ -140,8 +140,8 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
     float3 wi, weight;
     uint event;
     const float u_lobe = bsdf_has_lobes(&bsdf) ? sample_1d(sampler, DIM_BOUNCE(bounce, SLOT_LOBE)) : 0.0f;
-    const float2 u = bsdf_has_spread(&bsdf) ? sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION)) : (float2)(0.5f);
-    if (!bsdf_sample(&bsdf, u_lobe, u, &wi, &weight, &lobe_pdf, &event)) break;
+    const SquarePoint at = bsdf_has_spread(&bsdf) ? sample_direction(sampler, bounce) : square_point((float2)(0.5f));
+    if (!bsdf_sample(&bsdf, u_lobe, at, &wi, &weight, &lobe_pdf, &event)) break;
     delta = (event & BSDF_EVENT_DELTA) != 0u;
     // Where light samples are alone they had full weight; mirrors still look for lights, where there are any.
     if (last && (delta ? light_entries(scene) == 0u : alone)) break;

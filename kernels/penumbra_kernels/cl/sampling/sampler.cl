@@ -3,6 +3,7 @@
 #include "sampling/sampler.h"
 #include "sampling/strata.cl"
 #include "sampling/owen.cl"
+#include "sampling/warp.cl"
 
 #if PENUMBRA_SAMPLER == SAMPLER_REGULAR
 #include "sampling/regular.cl"
@@ -28,6 +29,9 @@
 #include "sampling/sobol.cl"
 #define DRAW_1D sobol_1d
 #define DRAW_2D sobol_2d
+#if PENUMBRA_AHEAD
+#include "sampling/ahead.cl"
+#endif
 #endif
 #if PENUMBRA_SAMPLER == SAMPLER_BLUE_NOISE
 #include "sampling/blue_noise.cl"
@@ -72,6 +76,9 @@ static inline void sampler_next(Sampler *s, const ulong index) {
 #if PENUMBRA_SAMPLER == SAMPLER_SOBOL
   s->reversed = REVERSE_BITS((uint)index);
 #endif
+#if PENUMBRA_AHEAD
+  ahead_next(s);
+#endif
 }
 
 // random: point `k` of those that fell into the pixel with index `index`; each is independent of all others.
@@ -94,12 +101,29 @@ static inline const Sampler *stream_of(const Sampler *s, const ulong dim, Sample
 }
 
 static inline float sample_1d(const Sampler *s, const ulong dim) {
+#if PENUMBRA_AHEAD
+  return ahead_1d(s, dim);
+#else
   Sampler other;
   return DRAW_1D(stream_of(s, dim, &other), dim, s->index, s->strata);
+#endif
 }
 static inline float2 sample_2d(const Sampler *s, const ulong dim) {
+#if PENUMBRA_AHEAD
+  return ahead_2d(s, dim);
+#else
   Sampler other;
   return DRAW_2D(stream_of(s, dim, &other), dim, s->index, s->strata);
+#endif
+}
+// The point of a bounce's SLOT_DIRECTION.
+static inline SquarePoint sample_direction(const Sampler *s, const uint bounce) {
+  const ulong dim = DIM_BOUNCE(bounce, SLOT_DIRECTION);
+#if PENUMBRA_AHEAD
+  return ahead_direction(s, dim);
+#else
+  return square_point(sample_2d(s, dim));
+#endif
 }
 
 // Planned elements where each sample draws m; saturates, since blocks are cut at MAX_STRATA anyway.
@@ -108,10 +132,12 @@ static inline uint planned(const Sampler *s, const uint m) {
 }
 
 static inline float sample_1d_of(const Sampler *s, const ulong dim, const uint j, const uint m) {
+  if (m == 1u) return sample_1d(s, dim);
   Sampler other;
   return DRAW_1D(stream_of(s, dim, &other), dim, s->index * m + j, planned(s, m));
 }
 static inline float2 sample_2d_of(const Sampler *s, const ulong dim, const uint j, const uint m) {
+  if (m == 1u) return sample_2d(s, dim);
   Sampler other;
   return DRAW_2D(stream_of(s, dim, &other), dim, s->index * m + j, planned(s, m));
 }
