@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from penumbra_scene.errors import MEDIA_TYPE, Problem, ProblemError, ProblemItem, make_problem, shorten
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from penumbra_service.service import ConflictError, QueueFullError, QuotaUsedError
 from penumbra_service.store.artifacts import NoSuchArtifactError
@@ -31,6 +32,7 @@ _KINDS: Final = {
     403: "forbidden",
     404: "not-found",
     405: "method-not-allowed",
+    408: "timeout",
     409: "conflict",
     413: "too-large",
     415: "unsupported-media-type",
@@ -72,11 +74,18 @@ def install(app: FastAPI) -> None:
         app.add_exception_handler(conflict, _conflict)
     app.add_exception_handler(AssetTooLargeError, _too_large)
     app.add_exception_handler(AssetDigestError, _wrong_digest)
+    app.add_exception_handler(ClientDisconnect, _gone)
 
 
 async def _problem(_request: Request, error: Exception) -> Response:
     assert isinstance(error, ProblemError)
     return problem_response(error.problem)
+
+
+async def _gone(request: Request, _error: Exception) -> Response:
+    """The caller left before the body had come: no mistake of ours, and nobody reads an answer."""
+    log.info("%s %s: the caller left before the body had come", request.method, request.url.path)
+    return Response(status_code=400)
 
 
 async def _http(request: Request, error: Exception) -> Response:
