@@ -167,9 +167,10 @@ class AssetStore:
 
     def get(self, sha256: str) -> StoredAsset:
         """Raises NoSuchAssetError."""
+        file = asset_file(self._folder, sha256)
         with self._database.read() as connection:
             row = connection.execute(_by_digest(sha256)).one_or_none()
-        if row is None or not asset_file(self._folder, sha256).is_file():
+        if row is None or not file.is_file():
             raise NoSuchAssetError(sha256)
         return _asset(row)
 

@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Final
 
 from penumbra_service.store.content import asset_file
-from penumbra_service.store.files import CHUNK_BYTES, Files
+from penumbra_service.store.files import CHUNK_BYTES, PART, Files
 
 RENEW: Final = timedelta(hours=6)
 """What is put again so long after the last time counts as used from then on: far sooner than anything is removed."""
+UPLOAD: Final = timedelta(days=1)
+"""What is still being written is left alone for so long."""
 FOLDER: Final = "contents"
 """Within the artifact store."""
 
@@ -57,10 +59,12 @@ class ContentStore:
     def remove_unused(self, before: datetime) -> int:
         """Remove what nobody has put since then, and what a killed process left half written; how many files that were.
         Others may put and remove at the same time: what is put again meanwhile stays, or comes back with the next put."""
+        dead = min(before, datetime.now(UTC) - UPLOAD)
         removed = 0
         for path, used in self._files.find():
+            limit = dead if path.endswith(PART) else before
             # Asked once more: the list may be old by now.
-            if used < before and (self._files.modified(path) or before) < before:
+            if used < limit and (self._files.modified(path) or limit) < limit:
                 removed += self._files.remove(path)
         return removed
 

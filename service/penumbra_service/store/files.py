@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -14,6 +16,8 @@ from fsspec.implementations.local import LocalFileSystem
 from penumbra_service.store.ids import new_id
 
 CHUNK_BYTES: Final = 1 << 20
+PART: Final = ".part"
+"""How names of files end that are still being written."""
 
 
 class Files:
@@ -33,7 +37,7 @@ class Files:
         self.system.makedirs(path.rpartition("/")[0], exist_ok=True)
         # A store of objects shows one once it is whole; to rename there would be to copy. No two writers, of whatever
         # machine, share a name aside.
-        aside = f"{path}.{new_id()}.part" if self.local else path
+        aside = f"{path}.{new_id()}{PART}" if self.local else path
         try:
             with source.open("rb") as reader, self.system.open(aside, "wb") as writer:
                 shutil.copyfileobj(reader, writer, CHUNK_BYTES)
@@ -46,10 +50,11 @@ class Files:
 
     def renew(self, path: str, source: Path) -> None:
         """Have `path`, whose bytes are those of `source`, be there and new."""
-        if self.local and self.system.exists(path):
-            self.system.touch(path, truncate=False)
-        else:
-            self.write(path, source)
+        if self.local:
+            with contextlib.suppress(FileNotFoundError):
+                os.utime(path)
+                return
+        self.write(path, source)
 
     def modified(self, path: str) -> datetime | None:
         """When a file was written last; None where there is none."""

@@ -14,7 +14,7 @@ from sqlalchemy import Select, delete, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from penumbra_service.store.database import Database
-from penumbra_service.store.ids import new_id
+from penumbra_service.store.ids import is_id, new_id
 from penumbra_service.store.schema import frames, jobs, requests
 
 MAX_PAGE: Final = 1000
@@ -169,6 +169,7 @@ class SqlJobStore:
             return _job(connection.execute(_by_id(row_id)).one())
 
     def get(self, job_id: str) -> JobRow:
+        _demand_id(job_id)
         with self._database.read() as connection:
             row = connection.execute(_by_id(job_id)).one_or_none()
         if row is None:
@@ -176,6 +177,7 @@ class SqlJobStore:
         return _job(row)
 
     def request(self, job_id: str) -> str:
+        _demand_id(job_id)
         with self._database.read() as connection:
             text = connection.execute(
                 select(requests.c.text).where(requests.c.job == job_id)
@@ -276,10 +278,18 @@ class SqlJobStore:
             return {row.state: row.count_ for row in connection.execute(query)}
 
     def _change(self, job_id: str, change: Any) -> JobRow | None:
+        if not is_id(job_id):
+            return None
         with self._database.write() as connection:
             if connection.execute(change).rowcount == 0:
                 return None
             return _job(connection.execute(_by_id(job_id)).one())
+
+
+def _demand_id(job_id: str) -> None:
+    """What is no identifier never reaches the database: PostgreSQL takes no text with a NUL."""
+    if not is_id(job_id):
+        raise NoSuchJobError(job_id)
 
 
 def _by_id(job_id: str) -> Select[Any]:

@@ -13,7 +13,7 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from penumbra_service.store.database import MIGRATIONS, Database, newest_revision
-from penumbra_service.store.ids import LENGTH, IdMaker, encode, is_id
+from penumbra_service.store.ids import LENGTH, IdMaker, encode, is_id, new_id
 from penumbra_service.store.jobs import NewJob, SqlJobStore
 from penumbra_service.store.keys import PREFIX, KeyNameError, KeyStore
 from penumbra_service.store.schema import jobs, metadata
@@ -47,6 +47,7 @@ def test_every_version_leads_to_the_newest_and_keeps_what_is_there(database_url:
     """Up from the first version, one step at a time, with a job, a key and an asset in the tables."""
     database = Database(database_url)
     database.migrate("0001")
+    job = new_id()
     now = (
         "2025-01-02 03:04:05+00:00"
         if database.engine.dialect.name == "postgresql"
@@ -58,7 +59,8 @@ def test_every_version_leads_to_the_newest_and_keeps_what_is_there(database_url:
         )
         connection.exec_driver_sql(
             "INSERT INTO jobs (id, state, priority, name, request, progress, revision, crashes, owner, body_digest, "
-            f"created, updated) VALUES ('J', 'done', 0, 'old', '{{}}', '{{\"width\": 5}}', 3, 0, 'K', 'd', '{now}', '{now}')"
+            f"created, updated) VALUES ('{job}', 'done', 0, 'old', '{{}}', '{{\"width\": 5}}', 3, 0, 'K', 'd', "
+            f"'{now}', '{now}')"
         )
         connection.exec_driver_sql(
             "INSERT INTO assets (sha256, bytes, kind, format, detail, created) "
@@ -70,9 +72,9 @@ def test_every_version_leads_to_the_newest_and_keeps_what_is_there(database_url:
     for version in versions[1:]:
         database.migrate(version)
     database.migrate()
-    row = SqlJobStore(database).get("J")
+    row = SqlJobStore(database).get(job)
     assert (row.name, row.progress, row.holder) == ("old", {"width": 5}, None)
-    assert SqlJobStore(database).request("J") == "{}"
+    assert SqlJobStore(database).request(job) == "{}"
     assert row.created == datetime(2025, 1, 2, 3, 4, 5, tzinfo=UTC)
     (key,) = KeyStore(database).list()
     assert (key.name, key.quota_seconds, key.used_seconds, key.exhausted) == ("laptop", None, 0.0, False)

@@ -229,7 +229,7 @@ def test_a_broken_asset_is_discarded_but_a_recorded_one_stays(assets: AssetStore
     assert assets.get(stored.sha256) == stored
 
 
-@pytest.mark.parametrize("digest", ["", "0" * 63, "0" * 65, "../" + "0" * 61, "A" * 64, "g" * 64])
+@pytest.mark.parametrize("digest", ["", "\0" * 64, "0" * 63, "0" * 65, "../" + "0" * 61, "A" * 64, "g" * 64])
 def test_what_is_no_digest_names_no_file(assets: AssetStore, digest: str) -> None:
     with pytest.raises(NoSuchAssetError):
         assets.path(digest)

@@ -49,11 +49,14 @@ def test_what_goes_in_comes_out(store: JobStore) -> None:
     assert made.started is None
 
 
-def test_unknown_jobs_are_told(store: JobStore) -> None:
+@pytest.mark.parametrize(
+    "unknown", ["01ARZ3NDEKTSV4RRFFQ69G5FAV", "", "x", "a\0b", "01ARZ3NDEKTSV4RRFFQ69G5FAV\0", "é" * 5000]
+)
+def test_unknown_jobs_are_told(store: JobStore, unknown: str) -> None:
     for call in (store.get, store.request, store.set):
         with pytest.raises(NoSuchJobError):
-            call("01ARZ3NDEKTSV4RRFFQ69G5FAV")
-    assert store.move("01ARZ3NDEKTSV4RRFFQ69G5FAV", ("queued",), "done") is None
+            call(unknown)
+    assert store.move(unknown, ("queued",), "done") is None
 
 
 def test_every_change_raises_the_revision(store: JobStore) -> None:
