@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from penumbra_kernels import cache, pocl_cache
+from penumbra_kernels.aligned import aligned
 from penumbra_kernels.pocl_target import UNKNOWN, name_target
 from penumbra_kernels.program import BUILD_OPTIONS, assemble
 
@@ -28,8 +29,6 @@ KIND_GPU: Final = "gpu"
 SHARED_BYTES: Final = 4 * 1024 * 1024
 """Buffers of that size lie in numpy's memory on CPUs, where an OpenCL driver would copy them into its own: numpy asks the
 system for huge pages from that size on, without which a large tree's nodes are hardly ever in the TLB."""
-ALIGNMENT: Final = 64
-"""Of shared memory: kernels load whole vectors from it."""
 NVIDIA_REGISTERS: Final = 64
 """A thread. Left alone the compiler takes 200 to 250 for a path tracer, so that few threads are there to hide each other's
 waiting. Measured on an H200, M paths/s of the Cornell box / a mesh of 100k triangles: 78 / 106 as it likes, 91 / 116 with
@@ -225,7 +224,7 @@ class Device:
         origin = cl.mem_flags.USE_HOST_PTR if shared else cl.mem_flags.COPY_HOST_PTR
         flags = cl.mem_flags.READ_ONLY | origin
         with self._driver(f"copying {data.size} bytes to the device"):
-            return cl.Buffer(self.context, flags, hostbuf=_aligned(data) if shared else data)
+            return cl.Buffer(self.context, flags, hostbuf=aligned(data) if shared else data)
 
     def allocate(self, size: int) -> cl.Buffer:
         """A read-write buffer of `size` bytes, its content undefined."""
@@ -275,17 +274,6 @@ def _options(device: cl.Device) -> tuple[str, ...]:
         if "cl_nv_compiler_options" in device.extensions.split():
             options.append(f"-cl-nv-maxrregcount={NVIDIA_REGISTERS}")
     return tuple(options)
-
-
-def _aligned(data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The bytes at an address that is a multiple of ALIGNMENT; themselves where they are."""
-    if data.ctypes.data % ALIGNMENT == 0:
-        return data
-    room = np.empty(data.size + ALIGNMENT, np.uint8)
-    first = -room.ctypes.data % ALIGNMENT
-    out = room[first : first + data.size]
-    out[:] = data
-    return out
 
 
 def _portable() -> bool:

@@ -7,6 +7,7 @@ heuristic further down.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -26,6 +27,7 @@ MAX_STACK: Final = 95
 """Entries; cl/geometry/traverse.cl reserves as many for each level."""
 SAH_DEPTHS: Final = (64, 40, 24, 12, 0)
 EMPTY_WORD: Final = CONSTANTS["LEAF_FLAG"]
+_HEADER: Final = struct.Struct("<QQQQ")  # nodes, packets, root, stack
 
 
 class TreeError(ValueError):
@@ -111,6 +113,25 @@ def instance_word(index: int) -> int:
     if index > CONSTANTS["LEAF_INSTANCE_MASK"]:
         raise TreeError(f"more than {CONSTANTS['LEAF_INSTANCE_MASK'] + 1} instances")
     return EMPTY_WORD | CONSTANTS["LEAF_INSTANCE"] << CONSTANTS["LEAF_TYPE_SHIFT"] | index
+
+
+def tree_to_bytes(tree: Tree) -> bytes:
+    """For files."""
+    header = _HEADER.pack(len(tree.nodes), len(tree.packet_items), tree.root, tree.stack)
+    return b"".join(
+        (header, tree.nodes.tobytes(), tree.packet_items.tobytes(), tree.packet_keyframe.tobytes())
+    )
+
+
+def tree_from_bytes(data: bytes) -> Tree:
+    """What tree_to_bytes was given; its arrays are views of the data."""
+    nodes, packets, root, stack = _HEADER.unpack_from(data)
+    at = _HEADER.size
+    node = np.frombuffer(data, NODE8, nodes, at)
+    at += node.nbytes
+    items = np.frombuffer(data, np.int32, 8 * packets, at).reshape(packets, 8)
+    at += items.nbytes
+    return Tree(node, root, items, np.frombuffer(data, np.int32, packets, at), stack)
 
 
 def build_tree(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections import OrderedDict
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -18,12 +19,11 @@ from numpy.typing import NDArray
 
 from penumbra_kernels import cache as disk
 from penumbra_kernels.accel.binary import SWEEP_LIMIT
-from penumbra_kernels.accel.build import Items, Tree, build_tree
-from penumbra_kernels.layout import NODE8
+from penumbra_kernels.accel.build import Items, Tree, build_tree, tree_from_bytes, tree_to_bytes
 
+Build = Callable[[Items, NDArray[np.int64]], Tree]
 KEPT_BYTES: Final = 64 * 1024 * 1024
 """Memory of the trees that one Trees keeps; those that were not used for longest go first."""
-_HEADER: Final = struct.Struct("<QQQQ")  # nodes, packets, root, stack
 
 
 @cache
@@ -43,31 +43,16 @@ def _key(items: Items, copies: NDArray[np.int64]) -> str:
     return digest.hexdigest()
 
 
-def _to_bytes(tree: Tree) -> bytes:
-    header = _HEADER.pack(len(tree.nodes), len(tree.packet_items), tree.root, tree.stack)
-    return b"".join(
-        (header, tree.nodes.tobytes(), tree.packet_items.tobytes(), tree.packet_keyframe.tobytes())
-    )
-
-
-def _from_bytes(data: bytes) -> Tree:
-    nodes, packets, root, stack = _HEADER.unpack_from(data)
-    at = _HEADER.size
-    node = np.frombuffer(data, NODE8, nodes, at)
-    at += node.nbytes
-    items = np.frombuffer(data, np.int32, 8 * packets, at).reshape(packets, 8)
-    at += items.nbytes
-    return Tree(node, root, items, np.frombuffer(data, np.int32, packets, at), stack)
-
-
 class Trees:
     """Builds trees, or finds them: in memory, and, those too large to be built at once, on disk.
 
     One that lives as long as a sequence of frames builds what does not move once. Not for several threads.
     """
 
-    def __init__(self, kept_bytes: int = KEPT_BYTES) -> None:
+    def __init__(self, kept_bytes: int = KEPT_BYTES, build_large: Build = build_tree) -> None:
+        """build_large: builds over more than SWEEP_LIMIT items."""
         self.kept_bytes = kept_bytes
+        self._build_large = build_large
         self.built = 0
         """Trees that had to be built."""
         self._kept: OrderedDict[str, Tree] = OrderedDict()
@@ -85,11 +70,11 @@ class Trees:
         large = len(items.lo) > SWEEP_LIMIT
         data = disk.load(key) if large else None
         if data is not None:
-            return _from_bytes(data)
+            return tree_from_bytes(data)
         self.built += 1
-        tree = build_tree(items, copies)
+        tree = (self._build_large if large else build_tree)(items, copies)
         if large:
-            disk.store(key, _to_bytes(tree))
+            disk.store(key, tree_to_bytes(tree))
         return tree
 
     def _keep(self, key: str, tree: Tree) -> None:

@@ -342,13 +342,18 @@ class _Compiler:
 
     def _result(self, root: int) -> CompiledGeometry:
         arrays = self.vertices.arrays()
-        arrays["nodes"] = np.concatenate([tree.nodes for tree in self.trees])
-        arrays["packets"] = np.concatenate(self.packets)
+        arrays["nodes"] = _joined([tree.nodes for tree in self.trees])
+        arrays["packets"] = _joined(self.packets)
         arrays["instances"] = np.array(self.instances, INSTANCE)
         arrays["shapes"] = np.array(self.shapes, SHAPE)
         planes, triangles = len(arrays["planes"]), len(arrays["triangles"])
         records, boxes = tuple(self.records), tuple((lo, hi) for lo, hi, _ in self.placed)
         return CompiledGeometry(arrays, self.keyframes.array, root, planes, triangles, records, boxes)
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """One after the other; a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def compile_geometry(

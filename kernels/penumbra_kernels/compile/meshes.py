@@ -11,8 +11,10 @@ from penumbra_scene.shapes import Mesh, Quad
 
 from penumbra_kernels.assets import AssetError, Assets
 
-CHUNK: Final = 1 << 20
-"""Triangles looked at together: bounds the memory of temporaries."""
+CHUNK: Final = 1 << 16
+"""Triangles looked at together: bounds the memory of temporaries, some 200 bytes for each."""
+SCATTER_CHUNK: Final = 1 << 18
+"""The same where every chunk costs a pass over all vertices."""
 LARGEST: Final = 1e18
 """Metres: larger coordinates do not survive being squared in float32."""
 
@@ -91,8 +93,8 @@ def smooth_normals(positions: NDArray[np.float64], indices: NDArray[np.uint32]) 
     """(n, 3) vertex normals, faces weighted by their angle at the vertex (Thurmer and Wuthrich 1998); 0
     where none."""
     normals = np.zeros_like(positions)
-    for start in range(0, len(indices), CHUNK):
-        part = indices[start : start + CHUNK]
+    for start in range(0, len(indices), SCATTER_CHUNK):
+        part = indices[start : start + SCATTER_CHUNK]
         corners = positions[part]
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(face, axis=1, keepdims=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from penumbra_scene.shapes import Disc, Mesh, MeshKeyframe, Plane, Quad, Sphere
 
 from penumbra_kernels.accel.build import ALONE, STATIC, Items, Tree, round_word
+from penumbra_kernels.aligned import empty
 from penumbra_kernels.assets import AssetError, Assets
 from penumbra_kernels.compile.bounds import padded
 from penumbra_kernels.compile.meshes import (
@@ -63,14 +64,24 @@ class Growing:
 
     def append(self, part: NDArray[Any]) -> int:
         """Index of the part's first entry."""
-        first, end = self.count, self.count + len(part)
-        if end > len(self._room):
-            larger = np.empty((max(end, 2 * len(self._room)), *self._room.shape[1:]), self._room.dtype)
-            larger[:first] = self._room[:first]
-            self._room = larger
-        self._room[first:end] = part
-        self.count = end
+        first, room = self.extend(len(part))
+        room[...] = part
         return first
+
+    def extend(self, count: int) -> tuple[int, NDArray[Any]]:
+        """Index of the first of so many more entries, and them, to be written."""
+        first, end = self.count, self.count + count
+        if end > len(self._room):
+            self.reserve(max(end, 2 * len(self._room)) - first)
+        self.count = end
+        return first, self._room[first:end]
+
+    def reserve(self, count: int) -> None:
+        """Have room for so many more entries: pages that are never written are never taken from memory."""
+        if self.count + count > len(self._room):
+            larger = np.empty((self.count + count, *self._room.shape[1:]), self._room.dtype)
+            larger[: self.count] = self.array
+            self._room = larger
 
     @property
     def array(self) -> NDArray[Any]:
@@ -81,12 +92,19 @@ class TreeItems:
     """What goes into one tree, as it grows."""
 
     def __init__(self) -> None:
-        self._lo: list[NDArray[np.float32]] = []
-        self._hi: list[NDArray[np.float32]] = []
-        self._key: list[NDArray[np.int32]] = []
-        self._word: list[NDArray[np.uint32]] = []
+        self._lo, self._hi = Growing(np.float32, 3), Growing(np.float32, 3)
+        self._key, self._word = Growing(np.int32), Growing(np.uint32)
         self._deforming: list[tuple[int, int]] = []  # (keyframes, vertex stride) by key - 1
-        self.count = 0
+
+    @property
+    def count(self) -> int:
+        """Items so far."""
+        return self._lo.count
+
+    def reserve(self, count: int) -> None:
+        """Have room for so many more."""
+        for part in (self._lo, self._hi, self._key, self._word):
+            part.reserve(count)
 
     def _append(self, lo: NDArray[Any], hi: NDArray[Any], key: int, words: NDArray[np.uint32]) -> None:
         lo32, hi32 = padded(lo, hi)
@@ -96,22 +114,21 @@ class TreeItems:
         self._hi.append(hi32)
         self._key.append(np.full(len(lo32), key, np.int32))
         self._word.append(words)
-        self.count += len(lo32)
 
     def add(self, lo: NDArray[Any], hi: NDArray[Any], word: int) -> None:
         """One item that is a leaf of its own."""
         self._append(lo, hi, ALONE, np.array([word], np.uint32))
 
-    def add_triangles(self, lo: NDArray[Any], hi: NDArray[Any], triangles: NDArray[np.uint32]) -> None:
-        """Triangles that stand still, by index."""
-        self._append(lo, hi, STATIC, triangles)
-
-    def add_deforming(
-        self, lo: NDArray[Any], hi: NDArray[Any], triangles: NDArray[np.uint32], keyframes: int, stride: int
+    def add_triangles(
+        self, lo: NDArray[Any], hi: NDArray[Any], triangles: NDArray[np.uint32], key: int = STATIC
     ) -> None:
-        """Triangles of one deforming mesh."""
+        """Triangles by index: still ones, or those of the deforming mesh with that key."""
+        self._append(lo, hi, key, triangles)
+
+    def deforming(self, keyframes: int, stride: int) -> int:
+        """The key of one more deforming mesh."""
         self._deforming.append((keyframes, stride))
-        self._append(lo, hi, len(self._deforming), triangles)
+        return len(self._deforming)
 
     def copies(self) -> NDArray[np.int64]:
         """By key: packets that a group of triangles takes."""
@@ -119,22 +136,16 @@ class TreeItems:
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The box around everything."""
-        lo = np.min([part.min(axis=0) for part in self._lo], axis=0)
-        hi = np.max([part.max(axis=0) for part in self._hi], axis=0)
+        lo, hi = self._lo.array.min(axis=0), self._hi.array.max(axis=0)
         return lo.astype(np.float64), hi.astype(np.float64)
 
     def items(self) -> Items:
         """All of them, for build_tree. Triangles have their index where others have their leaf word."""
-        if not self.count:
-            none = np.zeros((0, 3), np.float32)
-            return Items(none, none, np.zeros(0, np.int32), np.zeros(0, np.uint32))
-        for parts in (self._lo, self._hi, self._key, self._word):
-            parts[:] = [np.concatenate(parts)]
-        return Items(self._lo[0], self._hi[0], self._key[0], self._word[0])
+        return Items(self._lo.array, self._hi.array, self._key.array, self._word.array)
 
     def packets(self, tree: Tree, vertices: Vertices) -> NDArray[Any]:
         """PACKET8 of the tree's leaves."""
-        packets = np.empty(len(tree.packet_items), PACKET8)
+        packets = empty(len(tree.packet_items), PACKET8)
         if not len(packets):
             return packets
         positions, triangles = vertices.positions.array, vertices.triangles.array
@@ -195,10 +206,10 @@ def add_triangles(
     keys = _deformation(model, found, shutter, where) if isinstance(model, Mesh) else [(0.0, found.positions)]
     flags = CONSTANTS["SHAPE_FLIP"] if _mirrors(matrix) else 0
     flags |= CONSTANTS["SHAPE_QUAD"] if isinstance(model, Quad) else 0
-    placed = [_points(positions, matrix, where) for _, positions in keys]
-    first_vertex = vertices.positions.count
-    for part in placed:
-        vertices.positions.append(part)
+    first_vertex, count = vertices.positions.count, len(found.positions)
+    for _, positions in keys:
+        vertices.positions.append(_points(positions, matrix, where))
+    placed = [vertices.positions.array[first_vertex + i * count :][:count] for i in range(len(keys))]
     if found.normals is not None:
         flags |= CONSTANTS["SHAPE_HAS_NORMALS"]
         record["normal_offset"] = vertices.normals.count - first_vertex
@@ -207,10 +218,10 @@ def add_triangles(
     if found.uvs is not None:
         flags |= CONSTANTS["SHAPE_HAS_UVS"]
         record["uv_offset"] = vertices.uvs.append(np.asarray(found.uvs, np.float32)) - first_vertex
-    triangles = np.empty(len(found.indices), TRIANGLE)
-    triangles["vertex"] = found.indices + np.uint32(first_vertex)
+    first, triangles = vertices.triangles.extend(len(found.indices))
+    triangles["vertex"] = found.indices
+    triangles["vertex"] += np.uint32(first_vertex)
     triangles["shape"] = number
-    first = vertices.triangles.append(triangles)
     record["flags"] = flags
     record["first_triangle"], record["triangle_count"] = first, len(triangles)
     if len(keys) > 1:
@@ -224,23 +235,21 @@ def add_triangles(
 def _add_boxes(
     items: TreeItems, placed: list[NDArray[np.float32]], indices: NDArray[np.uint32], first: int
 ) -> None:
-    solid = np.zeros(len(indices), np.bool_)
-    for positions in placed:
-        solid |= with_area(positions, indices)
-    # Collinear at every keyframe can still mean an area in between: deforming triangles all stay.
-    kept = np.flatnonzero(solid) if len(placed) == 1 else np.arange(len(indices))
-    if not len(kept):
-        return
-    indices = indices[kept] if len(kept) < len(indices) else indices
-    lo, hi = _boxes(placed[0], indices)
-    for positions in placed[1:]:
-        a, b = _boxes(positions, indices)
-        lo, hi = np.minimum(lo, a), np.maximum(hi, b)
-    numbers = (kept + first).astype(np.uint32)
-    if len(placed) == 1:
-        items.add_triangles(lo, hi, numbers)
-    else:
-        items.add_deforming(lo, hi, numbers, len(placed), len(placed[0]))
+    """Boxes of triangles whose numbers begin with `first`, over their positions at every keyframe."""
+    still = len(placed) == 1
+    key = STATIC if still else items.deforming(len(placed), len(placed[0]))
+    items.reserve(len(indices))
+    for start in range(0, len(indices), CHUNK):
+        part = indices[start : start + CHUNK]
+        numbers = np.arange(first + start, first + start + len(part), dtype=np.uint32)
+        if still:  # collinear at every keyframe can still mean an area in between
+            solid = with_area(placed[0], part)
+            part, numbers = part[solid], numbers[solid]
+        lo, hi = _boxes(placed[0], part)
+        for positions in placed[1:]:
+            a, b = _boxes(positions, part)
+            lo, hi = np.minimum(lo, a), np.maximum(hi, b)
+        items.add_triangles(lo, hi, numbers, key)
 
 
 def _deformation(

@@ -10,7 +10,6 @@ wanted; with `--list` it prints them as JSON, and ends.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
 import resource
@@ -26,6 +25,7 @@ from multiprocessing.connection import Connection
 from typing import Final, Protocol
 
 from penumbra_kernels.allotment import Allotment
+from penumbra_kernels.child import die_with
 from penumbra_kernels.nodes import SumNode, Tile
 
 from penumbra_service.engine.protocol import (
@@ -47,7 +47,6 @@ from penumbra_service.jobs.dispatch import SCENES_KEPT
 HEARTBEAT_SECONDS: Final = 2.0
 COMPILE_TICK_SECONDS: Final = 0.005
 """How often a process with nothing to trace asks whether a program is there."""
-_PR_SET_PDEATHSIG: Final = 1
 
 
 class SceneError(RuntimeError):
@@ -226,15 +225,6 @@ def _loaded(job: str, scene: LoadedScene, warm: bool) -> SceneLoaded:
         program_hash=scene.program_hash,
         background_seconds=0.0 if warm else scene.background_seconds,
     )
-
-
-def die_with(parent: int) -> None:
-    """Have the kernel kill this process when its parent dies, also while a driver holds it. Linux only."""
-    if sys.platform != "linux":
-        return
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # it died before we asked
-        sys.exit(0)
 
 
 def main(backend: Backend, arguments: Sequence[str] | None = None) -> None:

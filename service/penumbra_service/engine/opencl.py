@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from penumbra_kernels.accel.apart import TreeBuilder
 from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import AssetError, Assets, NoAssets
 from penumbra_kernels.compile.scene import compile_scene
@@ -43,7 +44,7 @@ class OpenCLBackend:
         self._programs: Programs | None = None
         self._prepared: dict[str, Prepared] = {}
         """Scenes that wait for their programs, by spec.key."""
-        self._trees = Trees()
+        self._trees = Trees(build_large=TreeBuilder())
 
     def list(self) -> list[DeviceDescription]:
         return [describe(info) for info in devices()]

@@ -192,3 +192,16 @@ def test_missing_names_the_gaps():
     film._ranges[film.tiles[0]] = [(2, 2), (8, 4)]
     assert film.missing(film.tiles[0], 0, 14) == [(0, 2), (4, 4), (12, 2)]
     assert film.missing(film.tiles[0], 2, 4) == []
+
+
+def test_a_film_takes_the_same_memory_however_many_samples_it_has(samples):  # type: ignore[no-untyped-def]
+    """Its nodes merge: beyond the float32 sums of 256 samples nothing grows."""
+    made = samples(replicates=4)
+    sizes = []
+    for end in (1024, 4096, 65536):
+        film = _film(32, window=Tile(0, 0, 32, 32))
+        film.set_barriers((end,))
+        for first in range(0, end, end // 16):
+            film.add(made.node(film.tiles[0], first, end // 16))
+        sizes.append(film.resident_bytes)
+    assert len(set(sizes)) == 1

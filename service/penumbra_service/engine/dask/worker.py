@@ -21,11 +21,11 @@ from typing import Final
 
 import dask
 from distributed import Worker
+from penumbra_kernels.child import die_with
 
 from penumbra_service import logs
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.agent import Agent, set_agent
-from penumbra_service.engine.device_process import die_with
 from penumbra_service.engine.launch import DEVICE_COMMAND
 from penumbra_service.jobs.dispatch import IN_FLIGHT
 from penumbra_service.settings import SettingsError
