@@ -13,7 +13,7 @@ from penumbra_scene.receipt import AdaptiveReport, Counts, Receipt
 from pydantic import ValidationError
 
 from penumbra_service.api.frames import frame_statuses
-from penumbra_service.results import RECEIPT
+from penumbra_service.results import MOVIE, RECEIPT
 from penumbra_service.service import RenderService
 from penumbra_service.status import frame_numbers, job_status
 from penumbra_service.store.artifacts import NoSuchArtifactError
@@ -60,6 +60,8 @@ class JobPageView:
     """The number after which the next page begins; None at the end."""
     first_frames: bool = True
     """Whether this is the page of the first ones."""
+    movie: str | None = None
+    """Its path, once there is one."""
 
 
 def view_of(row: JobRow, *, curve: bool = False) -> JobView:
@@ -172,6 +174,7 @@ def page_of(service: RenderService, row: JobRow, after: int = -1) -> JobPageView
         frames=frame_statuses(service, row, numbers[:FRAME_PAGE]),
         more_frames=numbers[FRAME_PAGE - 1] if len(numbers) > FRAME_PAGE else None,
         first_frames=after < 0,
+        movie=job.status.links.movie if job.ended and service.artifacts.exists(row.id, MOVIE) else None,
         job=job,
         plots=tuple(plot for plot in plots if plot is not None),
         points=tuple(points),

@@ -131,7 +131,10 @@ def test_frames_appear_as_they_finish_and_equal_single_ones(
         assert (film.status_code, "no ffmpeg" in film.json()["detail"]) == (404, True)
     else:
         assert film.headers["content-type"] == "video/mp4"
-    page = farm.client.get(job.links.page).text
+    answer = farm.client.get(job.links.page)
+    page = answer.text
+    assert (f'<video src="{job.links.movie}"' in page) == (movie_program() is not None)
+    assert "media-src 'self'" in answer.headers["content-security-policy"]
     assert 'id="frame-8"' in page
     assert job.links.contact_sheet in page
 
