@@ -45,6 +45,7 @@ class Canvas:
         film.restore(batches.barriers)
         self._samples = self._count_samples()
         self._summarize(film.tiles)
+        self._show_kept()
 
     @property
     def window_pixels(self) -> int:
@@ -178,6 +179,14 @@ class Canvas:
                 pixels, self._summaries[tile] = self.film.summary(tile, end)
                 self.preview.put(pixels)
         self._looking += time.perf_counter() - started
+
+    def _show_kept(self) -> None:
+        """What a snapshot brought is shown as it stood at the last check, until there is more of it."""
+        end = self.batches.checked
+        if end:
+            for tile in self.film.tiles:
+                if tile not in self._summaries and self.film.complete(tile, end):
+                    self.preview.put(self.film.pixels(tile, end))
 
     def _count_samples(self) -> int:
         return sum(

@@ -231,12 +231,18 @@ def test_a_paused_job_goes_on_with_the_same_bits(fake_engine, make_task, referen
         tiles[0].write_bytes(tiles[0].read_bytes()[:-100])
     if lose == "progress":
         (task.folder / "tiles" / "progress.json").write_text("{")
-    begun = []
-    again = JobRunner(engine, task, on_progress=lambda state, progress: begun.append(progress.samples_done))
+    begun, shown = [], []
+    again = JobRunner(
+        engine,
+        task,
+        on_progress=lambda state, progress: begun.append(progress.samples_done),
+        on_preview=lambda image: shown.append(int((image.rgba[..., 3] > 0).sum())),
+    )
     result = again.run()
     assert picture(result) == reference
     if lose == "nothing":
         assert begun[0] >= done[-1] > 10
+        assert shown[0] == 80 * 72  # the whole picture, as it stood
     assert result.record.seconds > 0
 
 
