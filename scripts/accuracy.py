@@ -229,16 +229,15 @@ def _split_page(splitting: dict[str, Any], kept: dict[str, Any]) -> Iterator[str
         for name, s in splitting.items()
     ]
     yield from _table(["scene", "theta", *(f"R = {r}" for r in COUNTS)], rows)
-    worst = max(_of(s["price"], 8) for s in splitting.values())
+    four, eight = (max(_of(s["price"], r) for s in splitting.values()) for r in (4, 8))
     yield (
-        f"Eight replicates cost {worst:.2f} at most here (the aim is 1.3), and give an interval "
-        "7 degrees of freedom where four give 3: "
-        "2.36 standard errors in place of 3.18. So jobs take 8, and a quote advises 4 where the pilot's theta says that 8 "
-        "would cost more than 1.3 ([decision 19](decisions/0019-eight-replicates.md))."
+        f"Four replicates cost {four:.2f} at most here, eight {eight:.2f}; the aim is 1.3. Eight give an interval 7 degrees of "
+        "freedom where four give 3: 2.36 standard errors in place of 3.18. So jobs take 4, and a quote advises 8 where the "
+        "pilot's theta says that they cost at most 1.3 ([decision 19](decisions/0019-four-replicates.md))."
     )
     yield ""
     yield (
-        "V of one pixel is uncertain by 53 % at R = 8. The relative deviation of V pooled over a block, after 128 samples, "
+        "V of one pixel is uncertain by 82 % at R = 4. The relative deviation of V pooled over a block, after 128 samples, "
         "of the median block:"
     )
     rows = [
@@ -249,8 +248,8 @@ def _split_page(splitting: dict[str, Any], kept: dict[str, Any]) -> Iterator[str
     yield ""
     looking, tracing = 100 * kept["looking"], 100 * (kept["replicates"] - 1)
     yield (
-        f"Keeping error bars costs, in CPU time on `cornell` at {UPKEEP[0]} x {UPKEEP[1]}: tracing 256 samples in 8 "
-        f"replicates in place of 1, {tracing:+.1f} %; looking at the picture at all 16 check points up to there, "
+        f"Keeping error bars costs, in CPU time on `cornell` at {UPKEEP[0]} x {UPKEEP[1]}: tracing 256 samples in 4 "
+        f"replicates in place of 1, {tracing:+.1f} %; looking at the picture at all {kept['checks']} check points up to there, "
         f"{looking:.1f} % "
         "(a job without an error target looks at fewer)."
     )

@@ -19,7 +19,9 @@ from penumbra_kernels.nodes import SumNode, Tile, merge
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
 from penumbra_service.film.error import EPSILON, image_error, summarize
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
 from penumbra_service.film.statistics import pixel_flags, pixel_statistics
+from penumbra_service.film.stop import StopRule
 from penumbra_service.images.assets import FolderAssets
 
 REPLICATES: Final = 32
@@ -39,7 +41,7 @@ class Splitting:
     price: dict[int, float]
     """By replicates: samples to the error of 128 samples in so many replicates, over those of one sequence."""
     deviation: dict[int, float]
-    """By side of a block: relative standard deviation of V pooled over it, R = 8, the median block."""
+    """By side of a block: relative standard deviation of V pooled over it, DEFAULT_REPLICATES, the median block."""
 
 
 def measure(device: Device, scene: Scene, assets: FolderAssets) -> Splitting:
@@ -84,8 +86,9 @@ def _price(v: dict[int, float], replicates: int) -> float:
 
 
 def _groups(node: SumNode) -> list[NDArray[Any]]:
-    """Renders of eight replicates each."""
-    return [node.sums[first : first + 8] for first in range(0, REPLICATES, 8)]
+    """Renders of DEFAULT_REPLICATES each."""
+    step = DEFAULT_REPLICATES
+    return [node.sums[first : first + step] for first in range(0, REPLICATES, step)]
 
 
 def _deviation(node: SumNode, tile: Tile, side: int) -> float:
@@ -108,17 +111,20 @@ class Upkeep:
     """What error bars cost beside the same samples without them, in CPU time."""
 
     replicates: float
-    """Tracing 256 samples in 8 replicates over tracing them in 1."""
+    """Tracing 256 samples in DEFAULT_REPLICATES over tracing them in 1."""
     looking: float
     """Looking at the picture at every check point up to 256 samples, over tracing them."""
+    checks: int
+    """How many those are."""
 
 
 def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) -> Upkeep:
     """Interleaved, the least of each."""
     tile = Tile(0, 0, scene.film.width, scene.film.height)
     compiled = compile_scene(scene, assets)
-    tracers = {r: Tracer(device, compiled, SamplePlan(r)) for r in (1, 8)}
-    spent: dict[int, list[float]] = {1: [], 8: []}
+    ours = DEFAULT_REPLICATES
+    tracers = {r: Tracer(device, compiled, SamplePlan(r)) for r in (1, ours)}
+    spent: dict[int, list[float]] = {1: [], ours: []}
     looking = []
     for _ in range(rounds):
         for r, tracer in tracers.items():
@@ -129,5 +135,13 @@ def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) 
         pixels = pixel_statistics(tile, node.sums)
         image_error([summarize(pixels, pixel_flags(pixels))])
         looking.append(time.process_time() - began)
-    checks = 16  # of film.stop: 8, 16, 24, then four an octave up to 256 samples
-    return Upkeep(min(spent[8]) / min(spent[1]), checks * min(looking) / min(spent[8]))
+    checks = check_points(ours)
+    return Upkeep(min(spent[ours]) / min(spent[1]), checks * min(looking) / min(spent[ours]), checks)
+
+
+def check_points(replicates: int, samples: int = 256) -> int:
+    """How often a job with an error target looks at its picture up to so many samples a pixel."""
+    rule, end, checks = StopRule(replicates, samples // replicates, relative_error=1e-3), 0, 0
+    while (following := rule.next_end(end)) is not None:
+        end, checks = following, checks + 1
+    return checks

@@ -16,6 +16,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
+
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGE: Final = ROOT / "docs" / "coverage.md"
 NUMBERS: Final = ROOT / "docs" / "pictures" / "coverage.json"
@@ -53,7 +55,7 @@ def measure(seeds: int) -> int:
         numbers = json.loads(found.read_text())
     numbers["run"] = {
         "day": time.strftime("%Y-%m-%d"), "processor": _processor(), "seconds": time.monotonic() - began,
-        "seeds": seeds, "passed": status == 0,
+        "seeds": seeds, "replicates": DEFAULT_REPLICATES, "passed": status == 0,
     }  # fmt: skip
     NUMBERS.write_text(json.dumps(numbers, indent=1, sort_keys=True) + "\n")
     return status
@@ -73,7 +75,7 @@ def page(numbers: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield (
         f"Measured by `make test-statistics` on {run['day']} ({run['processor']}, {run['seconds']:.0f} s): {run['seeds']} "
-        "seeds of small scenes whose true pixels are known in closed form, 32 x 32 pixels, 8 replicates. "
+        f"seeds of small scenes whose true pixels are known in closed form, 32 x 32 pixels, {run['replicates']} replicates. "
         + ("All claims hold." if run["passed"] else "**Some claims of the tests do not hold.**")
     )
     yield from _failing(numbers)

@@ -36,8 +36,8 @@ class Allotment:
     """Indices of each replicate that are planned in all: strata are made for them; 0: unknown, strata double."""
     pilot: bool = False
     """Samples that only decide: they have random numbers of their own."""
-    kept_planned: int = 0
-    """Indices of each replicate that were planned while the kept ones were taken: not fewer than those."""
+    kept_planned: int | None = None
+    """What `planned` was while the kept ones were taken; None: those themselves."""
 
 
 def even(tile: Tile, planned: int = 0, *, pilot: bool = False) -> Allotment:

@@ -218,7 +218,7 @@ class Tracer:
             buffers["levels"] = self.device.upload(allotment.levels)
             # What is kept has the strata that it had before anything was decided.
             begun = first_sample < allotment.kept
-            of_kept = max(allotment.kept_planned, allotment.kept)
+            of_kept = allotment.kept if allotment.kept_planned is None else allotment.kept_planned
             self._plan_strata(of_kept if begun else allotment.planned)
         params["tile_x"], params["tile_y"] = tile.x, tile.y
         params["tile_width"], params["tile_height"] = tile.width, tile.height

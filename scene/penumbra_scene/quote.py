@@ -79,7 +79,7 @@ class Quote(Model):
     flagged_share: Unit = 0.0
     """Of the pilot's pixels: rare bright samples, or too few with light. The larger, the less the quote is worth."""
     replicates_advised: Integer | None = None
-    """8, or 4 where the pilot's exponent says that splitting samples into 8 would cost too many of them."""
+    """8 where splitting into so many costs at most 1.3 times the samples, by the pilot's exponent, else 4."""
     splitting_price: Measured | None = None
     """Samples to a given error with these replicates over those of one undivided sequence."""
     devices: tuple[ReceiptDevice, ...] = ()

@@ -60,7 +60,7 @@ class Sampler(Model):
     )
     seed: Seed = 0
     replicates: Annotated[Literal[1, 2, 4, 8, 16], NotBoolean] | None = None
-    """Independent replicates a pixel: their spread is the variance. Default 8, fewer for few samples."""
+    """Independent replicates a pixel: their spread is the variance. Default 4, fewer for few samples."""
 
 
 class Stop(Model):

@@ -24,10 +24,11 @@ from penumbra_kernels.nodes import Tile
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.parse import scene_from_json
 from penumbra_service.film import flags
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
 from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel_statistics, t_quantile
 
 SIDE: Final = 32
-REPLICATES: Final = 8
+REPLICATES: Final = DEFAULT_REPLICATES
 SEEDS: Final = int(os.environ.get("PENUMBRA_SEEDS", "100"))
 CONFIDENCES: Final = (0.5, 0.8, 0.9, 0.95, 0.99)
 TILE: Final = Tile(0, 0, SIDE, SIDE)

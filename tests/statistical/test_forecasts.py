@@ -17,6 +17,7 @@ from penumbra_scene.parse import scene_from_json
 from penumbra_service.film.accumulator import TileAccumulator
 from penumbra_service.film.error import image_error, normal_quantile, summarize
 from penumbra_service.film.predict import Point, predict
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
 from penumbra_service.film.statistics import pixel_flags, pixel_statistics
 from penumbra_service.film.stop import next_check
 from penumbra_service.images.assets import FolderAssets
@@ -28,7 +29,7 @@ NAMES = (
     if THOROUGH
     else ["cornell", "depth_of_field", "glossy", "motion_blur", "textures"]
 )
-REPLICATES = 8
+REPLICATES = DEFAULT_REPLICATES
 TOLD_AT = 128
 """Samples a pixel."""
 MOST = 2048

@@ -12,10 +12,11 @@ import pytest
 from penumbra_kernels.nodes import Tile, aligned_ranges
 from penumbra_service.film.accumulator import TileAccumulator
 from penumbra_service.film.error import ImageError, image_error, summarize
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
 from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel_statistics
 from penumbra_service.film.stop import StopRule
 
-REPLICATES = 8
+REPLICATES = DEFAULT_REPLICATES
 THOROUGH = int(os.environ.get("PENUMBRA_SEEDS", "100")) >= 1000
 CASES = [("penumbra", "sobol", 0.02), ("edge", "independent", 0.05)][: 2 if THOROUGH else 1]
 

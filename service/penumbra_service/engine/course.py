@@ -217,7 +217,7 @@ class Course:
             reason = self.canvas.check(self.clock.seconds, self.stage.rule.confidence)
             self._theta = fit_theta(self.record.points).theta
             self._looked()
-            if self.stage.pilot and (reason is not None or self._pilot_has_lasted):
+            if self.stage.pilot and (reason is not None or self._pilot_is_over):
                 self._begin_picture()
                 continue
             if reason is not None:
@@ -228,9 +228,10 @@ class Course:
             self.canvas.proceed()
 
     @property
-    def _pilot_has_lasted(self) -> bool:
-        limit = self._task.scene.stop.seconds
-        return limit is not None and self.clock.seconds >= PILOT_SHARE * limit
+    def _pilot_is_over(self) -> bool:
+        limit, seconds = self._task.scene.stop.seconds, self.clock.seconds
+        lasted = limit is not None and seconds >= PILOT_SHARE * limit
+        return lasted or self.stage.suffices(self.record, seconds)
 
     def _begin_picture(self) -> None:
         """The pilot has decided: the map first, then the state, then work that depends on them."""

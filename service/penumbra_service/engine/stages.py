@@ -17,13 +17,21 @@ from numpy.typing import NDArray
 from penumbra_kernels.allotment import Allotment, even
 from penumbra_kernels.nodes import Tile
 from penumbra_scene.adaptive import Adaptive
+from penumbra_scene.limits import MAX_PILOT_SAMPLES
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine import snapshot
 from penumbra_service.engine.snapshot import Snapshot
 from penumbra_service.engine.task import FixedPlan
 from penumbra_service.film import levels
-from penumbra_service.film.allocation import contrast_levels, error_levels, pilot_of, theta_of
+from penumbra_service.film.allocation import (
+    PILOT_PART,
+    contrast_levels,
+    error_levels,
+    pilot_of,
+    pilot_suffices,
+    theta_of,
+)
 from penumbra_service.film.film import Film
 from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.replicates import Layout
@@ -34,7 +42,7 @@ from penumbra_service.jobs.record import AdaptiveUse, RunRecord
 PILOT_SHARE: Final = 0.1
 """Of the seconds that a job may take: a pilot that has reached it ends with what it has."""
 PILOT_BUDGET: Final = 0.25
-"""Of a job's samples: what a pilot takes at most where nothing else is asked for."""
+"""Of a job's samples: what the least pilot takes at most where nothing else is asked for."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +58,15 @@ class Stage:
     goal: StopRule
     """What the job is to come to: the rule of the picture, or in a pilot that of a picture without a map."""
     pilot: bool = False
+    least: int = 0
+    """Samples a pixel that a pilot always has; more, up to the rule's, while film.allocation asks for them."""
     own_numbers: bool = False
     """A pilot whose samples the picture does not keep."""
+
+    def suffices(self, record: RunRecord, seconds: float) -> bool:
+        """Whether a pilot that was just looked at may decide, after `seconds` of tracing."""
+        samples = record.points[-1].samples
+        return samples >= self.least and pilot_suffices(samples, seconds, self.goal, record.points)
 
     @property
     def density(self) -> float:
@@ -145,21 +160,24 @@ class Stages:
         return theta, error_levels(self._window, pilot, theta)
 
     def _pilot(self, adaptive: Adaptive) -> Stage:
-        samples = self._pilot_samples(adaptive)
-        own = not adaptive.biased
+        least, own = self._least_pilot(adaptive), not adaptive.biased
+        grows = adaptive.pilot_samples is None and adaptive.strategy == "error"
+        most = max(least, self._most_pilot()) if grows else least
+        known = not grows or self._layout.strata > 0
         return Stage(
-            StopRule(self._layout.replicates, samples),
+            StopRule(self._layout.replicates, most, deciding=True),
             self._pilot_tiles if own else self._tiles,
             f"{self._key}-pilot" if own else self._key,
-            samples,
+            most if known else 0,
             LevelMap(self._window),
             self._picture(LevelMap(self._window)).rule,
             pilot=True,
+            least=least * self._layout.replicates,
             own_numbers=own,
         )
 
-    def _pilot_samples(self, adaptive: Adaptive) -> int:
-        """A replicate: a power of two."""
+    def _least_pilot(self, adaptive: Adaptive) -> int:
+        """Samples a replicate: a power of two."""
         replicates, most = self._layout.replicates, self._layout.samples_per_replicate
         wanted = -(-adaptive.pilot // replicates)
         if most is not None:
@@ -170,6 +188,13 @@ class Stages:
             )
         rounded = 1 << max(wanted - 1, 0).bit_length()
         return rounded // 2 if adaptive.biased and most is not None and rounded > most else rounded
+
+    def _most_pilot(self) -> int:
+        """Samples a replicate: a power of two."""
+        most = MAX_PILOT_SAMPLES // self._layout.replicates
+        if self._layout.samples_per_replicate is not None:
+            most = min(most, int(PILOT_PART * self._layout.samples_per_replicate))
+        return 1 << max(most, 1).bit_length() - 1
 
     def _picture(self, decided: LevelMap) -> Stage:
         stop, layout = self._stop, self._layout

@@ -18,7 +18,7 @@ FLAG_BLOCK: Final = 8
 """Side of the blocks in which one flagged pixel flags all."""
 POOL_BLOCK: Final = 16
 """Side of the blocks over which variance is pooled before it meets a quotient or a decision: one V has a
-relative deviation of sqrt(2 / (R - 1)), 256 of them together some 3 % at R = 8."""
+relative deviation of sqrt(2 / (R - 1)), 256 of them together some 5 % at R = 4."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class LevelMap:
     ) -> None:
         """levels: (window height, window width), None: every pixel takes every index. kept: indices of each replicate
         that all pixels take whatever their level, 0 or a power of two. kept_planned: for how many their strata were
-        made; a pilot that the clock ended early took fewer."""
+        made; a pilot that the clock ended early took fewer, and 0 is one whose end was not known."""
         if levels is not None and levels.shape != (window.height, window.width):
             raise ValueError(
                 f"levels of shape {levels.shape} for a window of {window.height} x {window.width}"
@@ -40,7 +40,7 @@ class LevelMap:
         self.window = window
         self.levels = levels
         self.kept = kept
-        self.kept_planned = max(kept_planned, kept)
+        self.kept_planned = kept_planned
 
     @cached_property
     def histogram(self) -> dict[int, int]:

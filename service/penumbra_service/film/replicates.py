@@ -7,8 +7,9 @@ from typing import Final
 
 from penumbra_scene.settings import Sampler, Stop
 
-DEFAULT_REPLICATES: Final = 8
-"""Enough for a t-interval a pixel (7 degrees of freedom) at 1.0 to 1.9 times the samples of one replicate."""
+DEFAULT_REPLICATES: Final = 4
+"""Enough for a t-interval a pixel (3 degrees of freedom) at 1.0 to 1.3 times the samples of one replicate on the example
+scenes (docs/accuracy.md)."""
 DETERMINISTIC_SAMPLERS: Final = frozenset({"regular"})
 """Samplers whose replicates would all be alike: one is taken, and variance is not known."""
 
@@ -35,7 +36,7 @@ class Layout:
 
 
 def choose_layout(sampler: Sampler, stop: Stop) -> Layout:
-    """Eight replicates unless the sampler says otherwise, never more than samples. Raises
+    """DEFAULT_REPLICATES unless the sampler says otherwise, never more than samples. Raises
     UnknownErrorTargetError."""
     deterministic = sampler.type in DETERMINISTIC_SAMPLERS
     if stop.relative_error is not None:

@@ -35,6 +35,8 @@ class StopRule:
     levels: LevelMap | None = None
     """Adaptive: how the picture's pixels share in the axis of samples; else each takes all. Ends are indices of that
     axis then, and `samples` is one of them."""
+    deciding: bool = False
+    """Of a pilot: what it decides depends on all of its check points, so that none may be left out."""
 
     def samples_at(self, end: int) -> float:
         """A pixel, over all replicates, on average over the picture."""

@@ -86,7 +86,7 @@ class Batches:
         end = self.rule.next_end(start)
         if end is None:
             return None
-        if self.rule.relative_error is None and rate is not None:
+        if self.rule.relative_error is None and not self.rule.deciding and rate is not None:
             # Without an error rule check points decide nothing, so that speed may choose them.
             least = max(MIN_BATCH_SECONDS, LOOK_FACTOR * look_seconds)
             while (end - start) / rate < least:

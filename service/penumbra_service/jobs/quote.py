@@ -18,7 +18,7 @@ from penumbra_service.jobs.pilot import PilotResult
 from penumbra_service.jobs.receipt import error_point
 
 DEAREST_SPLIT: Final = 1.3
-"""Times the samples of one sequence that eight replicates may cost; beyond it four are advised."""
+"""Times the samples of one sequence that eight replicates may cost to be advised; else four are."""
 MOST_SAMPLES: Final = 1e15
 """Nobody waits for more."""
 MUCH_FLAGGED: Final = 0.5

@@ -14,6 +14,7 @@ from penumbra_scene.job import JobState, StopReason
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine, list_devices
 from penumbra_service.engine.runner import Halt, JobRunner, RenderTask, RunResult
+from penumbra_service.film.allocation import BLOCK
 from penumbra_service.film.levels import NAME
 
 from tests.service.engine.conftest import picture
@@ -121,7 +122,7 @@ def test_samples_are_the_mean_over_the_pixels(engine, tmp_path, way):  # type: i
 
 def test_blocks_share_a_level_and_none_is_starved(engine, tmp_path):  # type: ignore[no-untyped-def]
     found = counts(finished(engine, task_of(tmp_path, CERTIFIED)))
-    blocks = found.reshape(SIDE // 8, 8, SIDE // 8, 8).swapaxes(1, 2).reshape(-1, 64)
+    blocks = found.reshape(SIDE // BLOCK, BLOCK, SIDE // BLOCK, BLOCK).swapaxes(1, 2).reshape(-1, BLOCK**2)
     assert (blocks == blocks[:, :1]).all()
     assert (
         found.min() >= 0.25 / 2**0.5 * found.mean() - 8
@@ -148,6 +149,17 @@ def test_only_pixels_with_contrast_are_refined(engine, tmp_path):  # type: ignor
     pixel = 2 / SIDE
     assert refined[np.abs(distance - 0.5) < 0.2 * pixel].all()
     assert not refined[np.abs(distance - 0.5) > 2.2 * pixel].any()
+
+
+def test_a_pilot_grows_with_what_the_picture_will_take(engine, tmp_path):  # type: ignore[no-untyped-def]
+    """By default: at least 16 samples a pixel, and as many more as are at most 1/16 of an even picture's."""
+    pilots = []
+    for name, stop in (("a", {"samples": 64}), ("b", {"samples": 2048}), ("c", {"relative_error": 0.004})):
+        result = finished(engine, task_of(tmp_path / name, {"strategy": "error"}, stop=stop))
+        assert result.record.adaptive is not None
+        pilots.append(result.record.adaptive.pilot_samples)
+    assert pilots[:2] == [16, 128]
+    assert 16 < pilots[2] <= result.record.points[-1].samples / 4
 
 
 def test_a_pilot_takes_at_most_its_share_of_the_time(engine, tmp_path):  # type: ignore[no-untyped-def]

@@ -18,11 +18,13 @@ from penumbra_service.film.allocation import (
     densities,
     error_levels,
     pilot_of,
+    pilot_suffices,
     theta_of,
 )
 from penumbra_service.film.error import EPSILON
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.levels import LevelMap
+from penumbra_service.film.predict import Point
 from penumbra_service.film.statistics import pixel_statistics
 from penumbra_service.film.stop import StopRule
 
@@ -119,15 +121,16 @@ def test_no_block_is_starved_and_none_takes_all() -> None:
 
 
 def test_levels_are_the_nearest_in_the_logarithm() -> None:
-    variance = np.random.default_rng(5).lognormal(0, 2, (3, 6))
+    variance = np.random.default_rng(5).lognormal(0, 2, (6, 11))
     pilot = blocks(variance)
     density = densities(pilot, 1.0)
     levels = error_levels(WINDOW, pilot, 1.0)
     assert levels.shape == (21, 40)
-    # WINDOW begins at (5, 3): its first block is 3 wide and 5 high
-    assert (np.unique(levels[:5, :3]) == levels[0, 0]).all()
-    for y, row in ((0, 0), (5, 1), (13, 2)):
-        for x, column in ((0, 0), (3, 1), (11, 2), (35, 5)):
+    # WINDOW begins at (5, 3): its first block is 3 wide and 1 high
+    assert (np.unique(levels[:1, :3]) == levels[0, 0]).all()
+    assert (np.unique(levels[1:5, 3:7]) == levels[1, 3]).all()
+    for y, row in ((0, 0), (1, 1), (13, 4)):
+        for x, column in ((0, 0), (3, 1), (11, 3), (35, 9)):
             exact = np.log2(density.max() / density[row, column])
             assert abs(int(levels[y, x]) - exact) <= 0.5
 
@@ -145,6 +148,30 @@ def test_levels_are_the_nearest_in_the_logarithm() -> None:
 )
 def test_theta_is_what_the_variance_fell_by(halfway: float, whole: float, theta: float) -> None:
     assert theta_of(halfway, whole) == pytest.approx(theta)
+
+
+def _noisy(samples: float, relmse: float) -> Point:
+    return Point(samples, samples / 100, relmse, relmse)
+
+
+def test_a_pilot_has_enough_when_twice_as_many_were_more_than_its_part_of_the_picture() -> None:
+    """Parts of 1/16, by whichever rule ends the picture first."""
+    points = [_noisy(16, 0.16)]
+    by_samples = StopRule(4, samples=1024 // 4)
+    assert not pilot_suffices(32, 0.3, by_samples, points)
+    assert pilot_suffices(64, 0.6, by_samples, points)
+    # an error of 0.4 after 16 samples, at theta 1.25 without a fit: 0.05 takes 16 * 64^(1 / 1.25) = 446 samples
+    assert not pilot_suffices(8, 0.2, StopRule(4, relative_error=0.05), points)
+    assert pilot_suffices(16, 0.2, StopRule(4, relative_error=0.05), points)
+    assert not pilot_suffices(16, 0.2, StopRule(4, relative_error=0.005), points)
+    assert pilot_suffices(16, 0.2, StopRule(4, samples=16, relative_error=0.005), points)
+    # 16 samples in 0.2 s
+    assert not pilot_suffices(16, 0.2, StopRule(4, seconds=6.5), points)
+    assert pilot_suffices(16, 0.2, StopRule(4, seconds=6.3), points)
+
+
+def test_a_pilot_of_which_nothing_can_be_told_has_enough() -> None:
+    assert pilot_suffices(16, 0.2, StopRule(4, relative_error=0.01), [_noisy(16, np.nan)])
 
 
 def test_a_pilot_is_pooled_by_blocks_that_do_not_depend_on_tiles(samples: Any) -> None:
@@ -165,7 +192,7 @@ def test_a_pilot_is_pooled_by_blocks_that_do_not_depend_on_tiles(samples: Any) -
     assert (large.cost == 3).all()
     whole = make.node(WINDOW, 0, 4).sums
     first = pixel_statistics(WINDOW, whole)
-    assert large.variance[0, 0] == pytest.approx(first.variance[:5, :3, :3].mean())
+    assert large.variance[0, 0] == pytest.approx(first.variance[:1, :3, :3].mean())
     block = first.mean[:13, :11, :3]
     signal = max(
         (block**2).mean() - first.variance[:13, :11, :3].mean(), (block.mean(axis=(0, 1)) ** 2).mean()

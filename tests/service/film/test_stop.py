@@ -78,7 +78,7 @@ def test_the_last_batch_fits_the_time_that_is_left(rate, left, expected):  # typ
 
 @pytest.mark.parametrize(
     ("samples", "expected"),
-    [(1, (1, 1)), (2, (2, 2)), (3, (2, 4)), (7, (4, 8)), (8, (8, 8)), (9, (8, 16)), (64, (8, 64))],
+    [(1, (1, 1)), (2, (2, 2)), (3, (2, 4)), (7, (4, 8)), (8, (4, 8)), (9, (4, 12)), (64, (4, 64))],
 )
 def test_never_more_replicates_than_samples_and_samples_rounded_up(samples, expected):  # type: ignore[no-untyped-def]
     layout = choose_layout(Sampler(), Stop(samples=samples))

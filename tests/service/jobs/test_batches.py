@@ -42,6 +42,12 @@ def test_speed_chooses_check_points_only_where_they_decide_nothing():
     assert bound.open_next(100.0, None) == (0, 1)
 
 
+def test_no_check_point_of_a_pilot_is_left_out():
+    """What it decides depends on all of them: speed may not choose."""
+    batches = Batches(StopRule(8, samples=64, deciding=True))
+    assert [batches.open_next(1e9, None) for _ in range(2)] == [(0, 1), (1, 2)]
+
+
 def test_time_left_shortens_the_batch_and_ends_the_job():
     batches = Batches(StopRule(8, seconds=10.0), checked=64)
     left = batches.seconds_left(9.5, 0.0, 16.0)
