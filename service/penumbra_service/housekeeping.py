@@ -29,6 +29,11 @@ ENDED: Final = tuple(state for state in JobState if state.ended)
 UPLOAD_DAYS: Final = 1.0
 """An upload that was not finished after so long never will be."""
 
+QUOTE_PREFIX: Final = "quote-"
+"""Of the names of folders that quotes are made in."""
+QUOTE_SECONDS: Final = 3600.0
+"""Where services share their folders, a quote's is left alone for so long: another service may be making it."""
+
 
 class Housekeeper:
     """All methods but `start` and `stop` may be called at any time, by several services at once."""
@@ -77,9 +82,13 @@ class Housekeeper:
         found = list(folder.iterdir()) if folder.is_dir() else []
         kept = {row.id for row in self._jobs.waiting(OPEN)}
         for path in found:
-            if path.name not in kept:
+            if path.name not in kept and not self._may_be_quoting(path):
                 shutil.rmtree(path, ignore_errors=True)
         self._assets.sweep(UPLOAD_DAYS * 86400 if self._settings.shared else 0.0)
+
+    def _may_be_quoting(self, path: Path) -> bool:
+        quoting = self._settings.shared and path.name.startswith(QUOTE_PREFIX)
+        return quoting and time.time() - _used(path) < QUOTE_SECONDS
 
     def remove_jobs(self, now: datetime) -> int:
         """Jobs that ended long ago, with all their files; how many those were."""

@@ -17,7 +17,7 @@ from penumbra_scene.job import JobRequest, JobState, StopReason
 from penumbra_scene.parse import job_from_json, parse_json
 from penumbra_scene.quote import Quote
 
-from penumbra_service.housekeeping import Housekeeper
+from penumbra_service.housekeeping import QUOTE_PREFIX, Housekeeper
 from penumbra_service.images.assets import FolderAssets
 from penumbra_service.images.limits import DecodeLimits
 from penumbra_service.job_queue import ACTIVE, OPEN, WAITING, JobQueue
@@ -152,7 +152,7 @@ class RenderService:
             raise ProblemError(make_problem("busy", "Other quotes are being made", 503, detail))
         try:
             self.settings.work_folder.mkdir(parents=True, exist_ok=True)
-            with TemporaryDirectory(prefix="quote-", dir=self.settings.work_folder) as folder:
+            with TemporaryDirectory(prefix=QUOTE_PREFIX, dir=self.settings.work_folder) as folder:
                 return self.runner.quote(request, Path(folder))
         finally:
             self._quoting.release()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from penumbra_service.housekeeping import Housekeeper
+from penumbra_service.housekeeping import QUOTE_PREFIX, QUOTE_SECONDS, Housekeeper
 from penumbra_service.settings import Settings
 from penumbra_service.store.artifacts import Artifacts
 from penumbra_service.store.assets import AssetStore, StoredAsset
@@ -34,7 +35,7 @@ class House:
         self.artifacts = Artifacts(self.settings.artifacts)
         self.assets = AssetStore(self.database, self.settings.assets_folder, 1000)
 
-    def keeper(self, **changes: float) -> Housekeeper:
+    def keeper(self, **changes: float | str) -> Housekeeper:
         return Housekeeper(replace(self.settings, **changes), self.jobs, self.artifacts, self.assets)  # type: ignore[arg-type]
 
     def job(self, state: str, days: float, request: str = "{}") -> str:
@@ -119,3 +120,17 @@ def test_folders_of_jobs_that_ended_are_swept_and_those_of_open_ones_stay(house:
         (house.settings.work_folder / name / "tiles").mkdir(parents=True)
     house.keeper().sweep_leftovers()
     assert [path.name for path in house.settings.work_folder.iterdir()] == [paused]
+
+
+def test_a_quote_that_a_service_beside_this_one_makes_keeps_its_folder(house: House) -> None:
+    """Services that share a database may share their folders; what one of them left long ago goes."""
+    work = house.settings.work_folder
+    old, new = work / f"{QUOTE_PREFIX}old", work / f"{QUOTE_PREFIX}new"
+    for folder in (old, new):
+        folder.mkdir(parents=True)
+    then = time.time() - QUOTE_SECONDS - 1
+    os.utime(old, (then, then))
+    house.keeper(database_url="postgresql://elsewhere/penumbra").sweep_leftovers()
+    assert [path.name for path in work.iterdir()] == [new.name]
+    house.keeper().sweep_leftovers()
+    assert not list(work.iterdir())

@@ -92,6 +92,24 @@ def test_a_merged_file_can_be_merged_again_but_not_with_its_own_parts(made: Made
     assert not (tmp_path / "no.exr").exists()
 
 
+def test_what_is_merged_with_a_biased_render_stays_biased(made: Made, tmp_path: Path) -> None:
+    """In either order, also where the merged file is merged again; certified renders are not."""
+    fast, contrast = {"adaptive": {"mode": "fast"}}, {"adaptive": {"strategy": "contrast"}}
+    for i, parts in enumerate(
+        ([made(1), made(2, **fast)], [made(2, **fast), made(1)], [made(2, **fast), made(3, **contrast)])
+    ):
+        two, three = tmp_path / f"{i}.exr", tmp_path / f"{i}-again.exr"
+        merge_files(parts, two)
+        merge_files([made(4), two], three)
+        for merged in (two, three):
+            assert str(read(merged)[1]["penumbra:biased"]).startswith("yes")
+            assert "fast" in str(read(merged)[1]["penumbra:adaptive"])
+    merge_files([made(1), made(5, adaptive={})], tmp_path / "certified.exr")
+    told = read(tmp_path / "certified.exr")[1]
+    assert told["penumbra:biased"] == "no"
+    assert told["penumbra:adaptive"] == "off; error, certified"
+
+
 @pytest.mark.parametrize(
     ("other", "why"),
     [

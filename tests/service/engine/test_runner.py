@@ -16,6 +16,7 @@ from penumbra_kernels.nodes import Tile
 from penumbra_scene.job import JobState, StopReason
 from penumbra_service.engine.canvas import Canvas
 from penumbra_service.engine.runner import Halt, JobRunner
+from penumbra_service.film.replicates import DEFAULT_REPLICATES as R
 from penumbra_service.jobs.planning import WorkItem
 
 _spec = importlib.util.spec_from_file_location("engine_conftest", Path(__file__).with_name("conftest.py"))
@@ -51,9 +52,9 @@ def test_a_job_gives_the_mean_of_its_samples(fake_engine, make_task):  # type: i
     n = red.size
     assert abs(red.mean() - 0.5) < 4.9 * math.sqrt(1 / 12 / 64 / n)
     true = 1 / 12 / 64
-    assert abs(variance.mean() - true) < 4.9 * true * math.sqrt(2 / 7 / n)
+    assert abs(variance.mean() - true) < 4.9 * true * math.sqrt(2 / (R - 1) / n)
     assert (np.concatenate([b.integers["SampleCount"] for b in bands]) == 64).all()
-    assert result.end == 8
+    assert result.end == 64 // R
     shares = [progress.progress for _, progress in seen]
     assert shares == sorted(shares)
     assert {state for state, _ in seen} >= {JobState.RENDERING, JobState.FINISHING}
@@ -125,7 +126,7 @@ def test_work_that_waits_twice_does_not_end_a_job_before_its_rule(
     monkeypatch.setattr(Canvas, "check", check_and_plan_again)
     result = runner.run()
     assert result.reason is StopReason.SAMPLES
-    assert ends == [1, 2, 4]
+    assert ends == [1, 2, 4, 8]
     assert picture(result) == reference
 
 
@@ -271,7 +272,7 @@ def test_an_error_target_is_met_by_the_stated_margin(fake_engine, make_task):  #
     signal2 = 0.25 * (1 + 0.25 + 4) / 3
     k = (1 / 12) * (1 + 0.25 + 4) / 3 / (signal2 + 0.01)
     needed = k / 0.06**2
-    samples = result.end * 8
+    samples = result.end * R
     assert needed <= samples <= 1.6 * needed + 8
     assert told[-1].samples_done == samples  # work beyond the end is dropped, and not counted either
     last = result.record.points[-1]
@@ -292,8 +293,8 @@ def test_a_time_limit_is_kept_and_what_is_past_the_stop_is_dropped(fake_engine, 
     assert result.reason is StopReason.SECONDS
     assert 0.5 < result.record.seconds < 2.5
     counts = np.concatenate([b.integers["SampleCount"] for b in result.bands()])
-    assert (counts == result.end * 8).all()
-    samples_rule = make_task(folder="again", stop={"samples": result.end * 8})
+    assert (counts == result.end * R).all()
+    samples_rule = make_task(folder="again", stop={"samples": result.end * R})
     assert picture(JobRunner(fake_engine(), samples_rule).run()) == picture(result)
 
 
