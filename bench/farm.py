@@ -1,7 +1,7 @@
 """Measures what a farm costs on this machine, and writes it into docs/farm.md: how much of a job's time its devices hold a
 running lease, and core-seconds a sample against the local engine.
 
-python bench/farm.py [--seconds 120] [--pairs 3] [--pair-seconds 15] [--no-page]
+python bench/farm.py [--seconds 120] [--pairs 3] [--samples 512] [--no-page]
 
 Two workers, each with PoCL on one thread; the local engine with two such devices, so that devices and leases are alike. A
 device holds a running lease from the lease's start to its answer, as its own process sees it; the rest is waiting for the
@@ -18,7 +18,6 @@ import argparse
 import contextlib
 import json
 import os
-import platform
 import signal
 import socket
 import statistics
@@ -30,7 +29,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from block import table, write_block
+from block import processor, table, write_block
 from penumbra_scene.job import JobState
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.dask.engine import DaskEngine
@@ -50,7 +49,7 @@ def main() -> None:
     parser.add_argument("--scene", type=Path, default=ROOT / "examples" / "cornell.json")
     parser.add_argument("--seconds", type=float, default=120.0, help="of the job whose leases are looked at")
     parser.add_argument("--pairs", type=int, default=3, help="jobs on each engine in turn, for core-seconds")
-    parser.add_argument("--pair-seconds", type=float, default=15.0, help="of these jobs, about")
+    parser.add_argument("--samples", type=int, default=512, help="a pixel, of these jobs")
     parser.add_argument("--no-page", action="store_true", help="print the numbers and write nothing")
     options = parser.parse_args()
     # Of all processes below: workers see one device of one thread each, the local engine two.
@@ -112,15 +111,13 @@ def _pairs(
 ) -> dict[str, Any]:
     """Core-seconds a million samples on both engines, in turn, by who spent them."""
     engines: tuple[tuple[str, Engine], ...] = (("local", local), ("farm", farm))
-    warm = [_run(engine, scene, folder / f"warm-{name}", {"seconds": 2.0}) for name, engine in engines]
-    rate = min(result.record.counts.taken / result.record.seconds for result in warm)
-    pixels = scene.film.width * scene.film.height
-    samples = max(round(rate * options.pair_seconds / pixels), 64)
+    for name, engine in engines:
+        _run(engine, scene, folder / f"warm-{name}", {"samples": 16})
     spent: dict[str, list[dict[str, float]]] = {"local": [], "farm": []}
     for number in range(options.pairs):
         for name, engine in engines:
             before = _cpu_seconds()
-            result = _run(engine, scene, folder / f"{name}-{number}", {"samples": samples})
+            result = _run(engine, scene, folder / f"{name}-{number}", {"samples": options.samples})
             after = _cpu_seconds()
             million = result.record.counts.taken / 1e6
             took = {who: (after[who] - before[who]) / million for who in ENGINES[name]}
@@ -129,7 +126,7 @@ def _pairs(
     # What drives no device, over what does: neighbours of this machine disturb it less than the devices' own time.
     beside = {name: statistics.median(_beside(one) for one in runs) for name, runs in spent.items()}
     return {
-        "samples_a_pixel": samples,
+        "samples_a_pixel": options.samples,
         "core_seconds_per_million_samples": {
             name: {who: statistics.median(run[who] for run in runs) for who in runs[0]}
             for name, runs in spent.items()
@@ -210,13 +207,6 @@ is what a machine with other work to do measures best: {told["farm_over_local_at
 
 def _cell(seconds: float | None) -> str:
     return "-" if seconds is None else f"{seconds:.4f}"
-
-
-def processor() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return f"{line.split(':', 1)[1].strip()}, {os.cpu_count()} cores"
-    return platform.processor()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""A day of a large farm, simulated: `python bench/farm_simulation.py [--workers 10000] [--hours 24]`.
+"""A day of a large farm, simulated, and written into docs/farm.md: `python bench/farm_simulation.py [--workers 10000]
+[--hours 24] [--no-page]`.
 
 It drives the planner of the service itself (jobs.dispatch, jobs.planning) with workers of uneven speed that die and come
 back, jobs that arrive at random, and an urgent job every hour; only devices, network and time are made up. It prints what
@@ -13,20 +14,26 @@ answer and the next lease; 8 jobs share the farm, the others wait. Tiles cost up
 from __future__ import annotations
 
 import argparse
+import gc
 import heapq
 import itertools
+import json
 import math
 import random
+import statistics
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
+from block import processor, table, write_block
 from penumbra_kernels.nodes import Tile
 from penumbra_service.jobs.dispatch import IN_FLIGHT, SCENES_KEPT, Dispatcher, gain_of
 from penumbra_service.jobs.planning import LeasePlanner, PlannedLease, WorkItem, lease_seconds
 
+RESULTS: Final = Path(__file__).with_name("results") / "farm_simulation.json"
 SPEED: Final = 8e6
 SPREAD: Final = 0.6
 LIFE_SECONDS: Final = 6 * 3600.0
@@ -45,7 +52,7 @@ LOAD_FACTOR: Final = 1.2
 """Work that arrives over work that can be done: the queue never runs dry."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Job:
     """Implements jobs.dispatch.Bidder. Work is in pixel samples, all replicates together."""
 
@@ -72,7 +79,7 @@ class Job:
         self.gain = gain_of(relmse, 1.0, self.device_seconds)
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Worker:
     """A device: leases in order, of which it works on the first."""
 
@@ -91,7 +98,7 @@ class Worker:
     """Seconds that the lease's scene takes to load."""
 
 
-@dataclass
+@dataclass(slots=True)
 class Account:
     """Worker-seconds, but for the counts."""
 
@@ -105,6 +112,10 @@ class Account:
     deaths: int = 0
 
 
+Event = Callable[[float, object, int], None]
+"""Something happens: when, to whom, and in which of its lives."""
+
+
 class Farm:
     """One simulation. Call `run` once."""
 
@@ -116,7 +127,7 @@ class Farm:
         self._dispatcher: Dispatcher[Job] = Dispatcher()
         self._waiting: list[tuple[int, float, int, Job]] = []
         self._running: list[Job] = []
-        self._events: list[tuple[float, int, str, object, int]] = []
+        self._events: list[tuple[float, int, Event, object, int]] = []
         self._order = itertools.count()
         self._starving: dict[Worker, None] = {}
         mean = math.exp(SPREAD**2 / 2)
@@ -129,25 +140,21 @@ class Farm:
     def run(self) -> None:
         """Until the end of the day."""
         for worker in self.workers:
-            self._at(self._random.expovariate(1 / LIFE_SECONDS), "dies", worker, 0)
-            self._at(0.0, "asks", worker, 0)
+            self._at(self._random.expovariate(1 / LIFE_SECONDS), self._dies, worker, 0)
+            self._at(0.0, self._asks, worker, 0)
         for moment in self._arrivals():
-            self._at(moment, "arrives", 0)
+            self._at(moment, self._arrives, 0)
         for moment in _every(URGENT_EVERY, self.end):
-            self._at(moment, "arrives", 1)
-        handlers = {
-            "asks": self._asks, "answers": self._answers, "dies": self._dies, "missed": self._missed,
-            "returns": self._returns, "arrives": self._arrives,
-        }  # fmt: skip
+            self._at(moment, self._arrives, 1)
         while self._events and self._events[0][0] <= self.end:
-            now, _, kind, subject, life = heapq.heappop(self._events)
-            handlers[kind](now, subject, life)  # type: ignore[operator]
+            now, _, happen, subject, life = heapq.heappop(self._events)
+            happen(now, subject, life)
         for worker in self.workers:
             if worker.alive:
                 self.account.alive += self.end - worker.born
 
-    def _at(self, moment: float, kind: str, subject: object, life: int = 0) -> None:
-        heapq.heappush(self._events, (moment, next(self._order), kind, subject, life))
+    def _at(self, moment: float, happen: Event, subject: object, life: int = 0) -> None:
+        heapq.heappush(self._events, (moment, next(self._order), happen, subject, life))
 
     def _arrivals(self) -> Iterator[float]:
         gap = JOB_SHARE * 86400 / LOAD_FACTOR
@@ -213,7 +220,7 @@ class Farm:
             worker.loading = 0.0
         worker.scenes.append(job.scene)
         worker.began = now
-        self._at(now + worker.loading + seconds, "answers", worker, worker.life)
+        self._at(now + worker.loading + seconds, self._answers, worker, worker.life)
 
     def _answers(self, now: float, subject: object, life: int) -> None:
         worker = subject
@@ -229,7 +236,7 @@ class Farm:
             self._begin(now, worker)
         if job.left == 0:
             self._end(now, job)
-        self._at(now + TURN_SECONDS, "asks", worker, life)
+        self._at(now + TURN_SECONDS, self._asks, worker, life)
 
     def _end(self, now: float, job: Job) -> None:
         job.finished = now
@@ -248,8 +255,8 @@ class Farm:
         if worker.held:
             self.account.wasted += now - worker.began
         self._starving.pop(worker, None)
-        self._at(now + MISSED_SECONDS, "missed", worker)
-        self._at(now + MISSED_SECONDS + self._random.expovariate(1 / AWAY_SECONDS), "returns", worker)
+        self._at(now + MISSED_SECONDS, self._missed, worker)
+        self._at(now + MISSED_SECONDS + self._random.expovariate(1 / AWAY_SECONDS), self._returns, worker)
 
     def _missed(self, now: float, subject: object, _life: int) -> None:
         """Its leases are issued again."""
@@ -267,7 +274,7 @@ class Farm:
         worker = subject
         assert isinstance(worker, Worker)
         worker.alive, worker.born = True, now
-        self._at(now + self._random.expovariate(1 / LIFE_SECONDS), "dies", worker)
+        self._at(now + self._random.expovariate(1 / LIFE_SECONDS), self._dies, worker)
         self._feed(now, worker)
 
 
@@ -278,27 +285,54 @@ def _every(step: float, end: float) -> Iterator[float]:
         moment += step
 
 
-def report(farm: Farm) -> str:
-    """What came of it, in lines."""
+def report(farm: Farm) -> dict[str, Any]:
+    """What came of it: shares of the living workers' time, counts, and seconds of urgent jobs."""
     account = farm.account
     urgent = [job for job in farm.finished if job.priority]
-    ideal = [job.total / farm.capacity for job in urgent]
     latency = sorted(job.finished - job.arrived for job in urgent if job.finished is not None)
-    first = sorted(job.first_lease - job.arrived for job in urgent if job.first_lease is not None)
-    median = latency[len(latency) // 2] if latency else math.nan
-    longest = latency[-1] if latency else math.nan
-    workers = len(farm.workers)
-    lines = [
-        f"{workers} workers, {farm.end / 3600:g} h: {account.leases} leases of about {lease_seconds(workers):g} s, "
-        f"{account.deaths} deaths",
-        f"utilisation {account.traced / account.alive:.2%} of the living workers' time traced what counts, "
-        f"{account.loaded / account.alive:.2%} loaded scenes",
-        f"redone {account.redone} leases; {account.wasted / account.alive:.3%} of the time died with its worker",
-        f"jobs done {len(farm.finished)}, of which urgent {len(urgent)}",
-        f"urgent jobs: first lease after {first[-1] if first else math.nan:.2f} s at most; done after {median:.0f} s "
-        f"(median), {longest:.0f} s (longest); all workers together need {sum(ideal) / max(len(ideal), 1):.0f} s",
+    first = [job.first_lease - job.arrived for job in urgent if job.first_lease is not None]
+    return {
+        "workers": len(farm.workers),
+        "hours": farm.end / 3600,
+        "lease_seconds": lease_seconds(len(farm.workers)),
+        "leases": account.leases,
+        "deaths": account.deaths,
+        "traced": account.traced / account.alive,
+        "loaded": account.loaded / account.alive,
+        "died": account.wasted / account.alive,
+        "redone": account.redone,
+        "jobs": len(farm.finished),
+        "urgent": len(urgent),
+        "first_lease_seconds": max(first, default=math.nan),
+        "urgent_seconds_median": latency[len(latency) // 2] if latency else math.nan,
+        "urgent_seconds_longest": latency[-1] if latency else math.nan,
+        "urgent_seconds_of_all_workers": statistics.fmean(j.total / farm.capacity for j in urgent)
+        if urgent
+        else math.nan,
+    }
+
+
+def page(told: dict[str, Any]) -> str:
+    """What docs/farm.md says of it."""
+    rows = [
+        ("workers, leases of", f"{told['workers']:,}, {told['lease_seconds']:g} s"),
+        ("simulated", f"{told['hours']:g} h: {told['leases']:,} leases, {told['jobs']} jobs done"),
+        ("of the living workers' time traced what counts", f"{told['traced']:.2%}"),
+        ("loaded scenes", f"{told['loaded']:.2%}"),
+        (f"died with one of {told['deaths']:,} workers", f"{told['died']:.3%}"),
+        ("leases done again", f"{told['redone']:,} ({told['redone'] / told['leases']:.2%})"),
+        (
+            f"first lease of an urgent job ({told['urgent']} of them)",
+            f"after {told['first_lease_seconds']:.2f} s at most",
+        ),
+        (
+            "an urgent job was done",
+            f"after {told['urgent_seconds_median']:.0f} s (median), {told['urgent_seconds_longest']:.0f} s (longest); all "
+            f"workers together need {told['urgent_seconds_of_all_workers']:.0f} s",
+        ),
+        ("one core of this machine took", f"{told['core_seconds']:.0f} s ({told['processor']})"),
     ]
-    return "\n".join(lines)
+    return table(("what", "measured"), rows)
 
 
 def main() -> None:
@@ -308,12 +342,17 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=10_000)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--no-page", action="store_true", help="print the numbers and write nothing")
     options = parser.parse_args()
     began = time.process_time()
+    gc.disable()  # millions of objects that live for a day, and no cycles: looking for them takes a third of the time
     farm = Farm(options.workers, options.hours, options.seed)
     farm.run()
-    print(report(farm))
-    print(f"simulated in {time.process_time() - began:.0f} s of one core")
+    told = {**report(farm), "core_seconds": time.process_time() - began, "processor": processor()}
+    print(json.dumps(told, indent=1))
+    if not options.no_page:
+        RESULTS.write_text(json.dumps(told, indent=1) + "\n")
+        write_block("farmsim", page(told))
 
 
 if __name__ == "__main__":

@@ -38,6 +38,22 @@ def test_a_store_that_cannot_be_written_fails_the_job_with_words(farm, make_task
     assert "the scene cannot be published: [Errno 13] Permission denied" in failure.message
 
 
+def test_a_store_that_is_full_is_waited_for(farm, make_task, picture, undisturbed, monkeypatch):  # type: ignore[no-untyped-def]
+    put, refused = ContentStore.put, []
+
+    def put_later(*words: object) -> None:
+        if len(refused) < 2:
+            refused.append(words)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        put(*words)  # type: ignore[arg-type]
+
+    farm.wait_for("one", "two")
+    monkeypatch.setattr(ContentStore, "put", put_later)
+    monkeypatch.setattr("penumbra_service.engine.dask.publisher.SPACE_SECONDS", 0.2)
+    assert picture(farm.run(make_task("steady yet another"))) == undisturbed
+    assert len(refused) == 2
+
+
 @pytest.fixture
 def full_disk(monkeypatch):  # type: ignore[no-untyped-def]
     """full_disk.set(): writes of snapshots fail from now on, as long as it is set."""

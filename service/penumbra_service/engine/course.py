@@ -89,7 +89,7 @@ class Course:
 
     def suspend(self) -> None:
         """The disk is full: the next attempt begins from the last snapshot."""
-        self._desk.wind_up()
+        self._desk.suspend()
         self.reason = None
         self._full_before = self.record
 

@@ -153,6 +153,14 @@ class LeaseDesk:
             self._busy(False)
             self._asked = True
 
+    def suspend(self) -> None:
+        """No answer will come any more: not to what is out, nor to checks that are, which others get."""
+        self.wind_up()
+        with self._lock:
+            for number in self._checking.values():
+                self._checks.lost(number)
+            self._checking.clear()
+
     def keep_to(self, bit_class: str) -> None:
         """An earlier run of a strict job was of this class."""
         with self._lock:

@@ -119,6 +119,6 @@ class Dispatcher(Generic[S]):
         """A job's (-priority, -gain, arrival), the least first, which no two share; whether one of its scenes is loaded;
         its frames. It gains what its oldest frame does."""
         head = next(iter(frames))
-        at_hand = any(source.scene in loaded for source in frames)
+        at_hand = head.scene in loaded or (len(frames) > 1 and any(s.scene in loaded for s in frames))
         gain = head.gain * (AFFINITY if at_hand else 1.0)
         return -head.priority, -gain, frames[head], at_hand, frames

@@ -28,6 +28,9 @@ MAX_GROWTH: Final = 8
 guesses."""
 LEASES_PER_SECOND: Final = 50
 """That one service hands out and takes in: a farm of more devices gets longer leases."""
+LEAST_SECONDS: Final = 0.1
+"""Leases get no shorter as the work runs out: their way through a farm takes some 10 ms of processor time, and nobody waits
+longer for the last one."""
 LEAST_SHARE: Final = 1 / 32
 """Of the longer leases of a large farm: however many devices share the last work, none gets less."""
 MAX_LEASE_BYTES: Final = 32 * 1024 * 1024
@@ -227,8 +230,8 @@ class LeasePlanner:
         if rate is not None and rate.samples_per_second is not None:
             seconds = lease_seconds(self.devices)
             most = min(most, int(rate.samples_per_second * seconds))
-            longer = rate.samples_per_second * (seconds - LEASE_SECONDS)
-            least = max(least, min(most, int(longer * LEAST_SHARE)))
+            shortest = max((seconds - LEASE_SECONDS) * LEAST_SHARE, LEAST_SECONDS)
+            least = max(least, min(most, int(rate.samples_per_second * shortest)))
         share = self.ready_samples // (2 * max(self.devices, 1))
         return max(min(most, share), least)
 

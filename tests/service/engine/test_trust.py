@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 from penumbra_kernels.nodes import Tile
 from penumbra_service.engine.desk import LeaseDesk
-from penumbra_service.engine.protocol import DeviceDescription, RenderSpec
+from penumbra_service.engine.protocol import DeviceDescription, LeaseResult, RenderSpec
 from penumbra_service.engine.standing import Standing
 from penumbra_service.engine.task import RunFailedError
 from penumbra_service.engine.trust import Trust
@@ -74,6 +74,26 @@ def test_a_run_that_begins_again_counts_its_failures_once(make_frame):  # type: 
     restarted = make_frame(Standing(), "job/1", again.record)
     restarted.trust.failed(WEAK, "it refuses", ["weak"])
     assert [use.blocked for use in restarted.record.devices.values()] == ["failures"]
+
+
+def test_a_check_whose_answer_will_not_come_goes_to_others() -> None:
+    """A run that waits for room on its disk hears nothing meanwhile; its end would wait for that answer for ever."""
+    spec = RenderSpec("scene.json", "h", None, None, 0.0, 4, 0)
+    desk = LeaseDesk("job", spec, hungry=lambda: None, verify=1.0)
+    desk.add([WorkItem(Tile(0, 0, 64, 64), 0, 1)])
+    lease = desk.next_lease(GOOD)
+    assert lease is not None
+    assert desk.answered(LeaseResult(lease.id, (), 1.0), GOOD)
+    check = desk.next_lease(WEAK)
+    assert check is not None
+    assert desk.doubts([GOOD, WEAK])
+    desk.suspend()
+    assert not desk.doubts([GOOD])
+    again = desk.next_lease(WEAK)
+    assert again is not None
+    assert again.items == check.items
+    assert desk.checked(LeaseResult(again.id, (), 1.0), WEAK) == []
+    assert not desk.doubts([GOOD, WEAK])
 
 
 def test_where_one_frame_has_no_device_left_none_has(make_frame):  # type: ignore[no-untyped-def]

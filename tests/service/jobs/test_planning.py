@@ -9,6 +9,7 @@ from penumbra_kernels.nodes import Tile
 from penumbra_service.jobs.planning import (
     FIRST_LEASE_SAMPLES,
     LEASE_SECONDS,
+    LEAST_SECONDS,
     MAX_GROWTH,
     MAX_LEASE_BYTES,
     LeasePlanner,
@@ -73,10 +74,12 @@ def test_leases_grow_to_their_seconds_and_no_faster_than_stated():
 
 def test_the_last_leases_shrink_so_that_devices_end_together():
     planner = LeasePlanner(1, devices=4)
-    planner.add(WorkItem(tile, 0, 1) for tile in TILES * 10)
-    sizes = [lease.samples for _, lease in _run(planner, {"d": 1e9})]
-    assert max(sizes[-4:]) <= max(sizes) / 8
-    assert sizes[-1] <= 4 * 64 * 64
+    planner.add(WorkItem(tile, 0, 8) for tile in TILES * 12)
+    speed = 1e6
+    sizes = [lease.samples for _, lease in _run(planner, {"d": speed})]
+    assert max(sizes) > speed
+    assert max(sizes[-4:]) <= LEAST_SECONDS * speed
+    assert min(sizes[:-1]) > LEAST_SECONDS * speed / 2, "short leases cost more on their way than at work"
 
 
 def test_answers_stay_within_their_bytes():

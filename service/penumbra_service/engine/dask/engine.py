@@ -25,6 +25,7 @@ from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.agent import describe_worker, do_lease
+from penumbra_service.engine.dask.config import settle
 from penumbra_service.engine.dask.publisher import Publisher
 from penumbra_service.engine.dask.remote import PING_SECONDS, Carried, RemoteDevice
 from penumbra_service.engine.dask.wire import (
@@ -61,6 +62,7 @@ class DaskEngine:
     from; `tls`: folder of certificates. Raises SettingsError for an address that may not be used."""
 
     def __init__(self, scheduler: str, contents: str, tls: Path | None = None) -> None:
+        settle()
         self._scheduler = check_scheduler(scheduler, tls)
         self._security = security(tls if scheduler.startswith("tls:") else None, "client")
         self._publisher = Publisher(contents)

@@ -6,18 +6,17 @@ Dask's own command listens on every interface and asks nobody who he is; whoever
 from __future__ import annotations
 
 import asyncio
-import logging
 import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import dask
 from distributed import Scheduler
 
 from penumbra_service import logs
 from penumbra_service.engine.dask.addresses import DEFAULT_PORT, security
+from penumbra_service.engine.dask.config import settle
 from penumbra_service.settings import SettingsError, is_loopback
 
 STATUS_PORT: Final = 8787
@@ -25,8 +24,6 @@ CONFIG: Final = {
     # Leases are pinned: there is nothing to steal, and no task to be suspected of killing its worker.
     "distributed.scheduler.work-stealing": False,
     "distributed.scheduler.allowed-failures": 1_000_000,
-    "distributed.admin.low-level-log-length": 1000,
-    "distributed.logging.distributed": "warning",
 }
 
 
@@ -52,8 +49,7 @@ def serve_scheduler(options: SchedulerOptions) -> None:
             "127.0.0.1"
         )
     logs.configure_from(os.environ)
-    logging.getLogger("distributed").setLevel("WARNING")
-    dask.config.set({**CONFIG, "distributed.scheduler.worker-ttl": f"{options.worker_ttl} s"})
+    settle(**CONFIG, **{"distributed.scheduler.worker-ttl": f"{options.worker_ttl} s"})
     asyncio.run(_serve(options))
 
 

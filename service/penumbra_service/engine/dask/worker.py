@@ -19,13 +19,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import dask
 from distributed import Worker
 from penumbra_kernels.child import die_with
 
 from penumbra_service import logs
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.agent import Agent, set_agent
+from penumbra_service.engine.dask.config import settle
 from penumbra_service.engine.launch import DEVICE_COMMAND
 from penumbra_service.jobs.dispatch import IN_FLIGHT
 from penumbra_service.settings import SettingsError
@@ -36,10 +36,6 @@ NO_DEVICE: Final = 7
 """Exit status when the device cannot be started any more."""
 CONNECT_SECONDS: Final = 60.0
 """A worker looks for its scheduler so long before it ends, to be started anew."""
-CONFIG: Final = {
-    "distributed.worker.profile.enabled": False,
-    "distributed.logging.distributed": "warning",
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,9 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.parent:
         die_with(options.parent)
     logs.configure_from(os.environ)
-    for name in ("distributed.core", "distributed.worker"):
-        logging.getLogger(name).setLevel("WARNING")
-    dask.config.set(CONFIG)
+    settle()
     try:
         return asyncio.run(_work(options))
     except SettingsError as error:

@@ -1,0 +1,26 @@
+"""What Dask is told where its defaults cost a farm processor time for nothing: a farm has few and long tasks."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, Final
+
+import dask
+
+QUIET: Final[dict[str, Any]] = {
+    "distributed.admin.tick.interval": "1 s",  # by default every process wakes up 50 times a second to see whether it hangs
+    "distributed.admin.tick.limit": "10 s",
+    "distributed.admin.system-monitor.interval": "5 s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.admin.low-level-log-length": 1000,
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "5 s",
+    "distributed.scheduler.active-memory-manager.start": False,  # an answer is fetched and released at once
+    "distributed.client.scheduler-info-interval": "60 s",
+}
+
+
+def settle(**more: Any) -> None:
+    """Configure Dask in this process, before anything of it starts."""
+    dask.config.set({**QUIET, **more})
+    logging.getLogger("distributed").setLevel("WARNING")
