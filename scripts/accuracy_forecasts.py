@@ -54,7 +54,7 @@ def forecast(engine: Engine, scene: Scene, beside: Path) -> Forecast | None:
     """None where the sampler has no error or the picture no noise. Raises RunFailedError, OSError."""
     if scene.sampler.type in DETERMINISTIC_SAMPLERS:
         return None
-    scene = scene.model_copy(update={"stop": Stop(samples=16), "adaptive": None})
+    scene = scene.model_copy(update={"stop": Stop(samples=16)})
     assets = assets_folder()
     with tempfile.TemporaryDirectory(prefix="penumbra-") as folder:
         found = PilotRunner(engine, PilotTask(scene, Path(folder) / "pilot", assets, beside)).run()

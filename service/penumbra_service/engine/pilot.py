@@ -34,6 +34,7 @@ from penumbra_service.engine.protocol import (
 )
 from penumbra_service.engine.task import RunFailedError
 from penumbra_service.film.accumulator import TileAccumulator
+from penumbra_service.film.allocation import BlockPilot, Saving, pilot_of, saving_of, together
 from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.pilot import (
@@ -44,6 +45,7 @@ from penumbra_service.film.pilot import (
     pilot_point,
     round_ends,
 )
+from penumbra_service.film.predict import fit_theta
 from penumbra_service.film.replicates import choose_layout
 from penumbra_service.film.statistics import pixel_flags, pixel_statistics
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
@@ -117,6 +119,8 @@ class PilotRunner:
         self._tiles: dict[Tile, TileAccumulator] = {}
         self._summaries: dict[int, dict[Tile, TileSummary]] = {}
         """By the end of the round."""
+        self._blockwise: dict[int, dict[Tile, BlockPilot]] = {}
+        """The same of the blocks that share a level, where the scene's samples are spread by error."""
         self._rates: dict[str, _Rate] = {}
         self._pending = 0
         """Samples that the round lacks."""
@@ -310,6 +314,8 @@ class PilotRunner:
             sums, _ = self._tiles[tile].fold(end)
             pixels = pixel_statistics(tile, sums, deterministic=deterministic)
             round_[tile] = summarize(pixels, pixel_flags(pixels, deterministic=deterministic))
+            if self._by_error:
+                self._blockwise.setdefault(end, {})[tile] = pilot_of(tile, [pixels])
         self._summaries[end] = round_
 
     def _conclude(self) -> None:
@@ -329,6 +335,20 @@ class PilotRunner:
             seconds = samples * result.seconds_per_sample
             summaries = [round_[tile] for tile in last]
             result.points.append(pilot_point(summaries, samples, seconds, len(self._blocks), stop.confidence))
+        result.saving = self._saving()
+
+    @property
+    def _by_error(self) -> bool:
+        adaptive = self._task.scene.adaptive
+        return adaptive is not None and adaptive.strategy == "error"
+
+    def _saving(self) -> Saving | None:
+        """The first round decides, as the pilot of a job does; the last tells what that saves."""
+        if not self._blockwise:
+            return None
+        rounds = list(self._blockwise.values())
+        first, last = (together([one[tile] for tile in rounds[-1]]) for one in (rounds[0], rounds[-1]))
+        return saving_of(first, last, fit_theta(self._result.points).theta)
 
     def _rate_deviation(self) -> float:
         """From the spread of seconds a sample over leases, which are of different blocks."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from penumbra_service.film.allocation import Saving
 from penumbra_service.film.predict import Point
 from penumbra_service.film.replicates import Layout
 from penumbra_service.jobs.record import DeviceUse
@@ -24,6 +25,8 @@ class PilotResult:
     """Of one sample in every pixel of the picture."""
     rate_deviation: float = 0.0
     """Relative standard deviation of `seconds_per_sample`, from its spread over leases."""
+    saving: Saving | None = None
+    """Of a scene that spreads its samples by error."""
     flagged_share: float = 0.0
     rejected_share: float = 0.0
     compile_seconds: float = 0.0

@@ -11,6 +11,7 @@ from penumbra_scene.quote import QUOTED_ERRORS, Pilot, Quote, QuotedEnd, QuotedE
 from penumbra_scene.receipt import ReceiptDevice, StageTime
 from penumbra_scene.scene import Scene
 
+from penumbra_service.film.allocation import Saving, pilot_samples
 from penumbra_service.film.error import normal_quantile
 from penumbra_service.film.predict import THETA_RANGE, error_at, fit_theta, predict, splitting_price
 from penumbra_service.film.stop import MIN_CHECK_SAMPLES, next_check
@@ -82,17 +83,20 @@ def _table(scene: Scene, found: PilotResult) -> tuple[QuotedError, ...]:
     targets = set(QUOTED_ERRORS)
     if scene.stop.relative_error is not None:
         targets.add(scene.stop.relative_error)
-    rows = (_quoted(found, target, scene.stop.confidence) for target in sorted(targets, reverse=True))
+    rows = (_quoted(scene, found, target) for target in sorted(targets, reverse=True))
     return tuple(row for row in rows if row is not None)
 
 
-def _quoted(found: PilotResult, target: float, confidence: float) -> QuotedError | None:
+def _quoted(scene: Scene, found: PilotResult, target: float) -> QuotedError | None:
+    confidence = scene.stop.confidence
     told = predict(found.points, target, confidence)
     if told is None:
         return None
-    value, low, high = (_whole(found, n) for n in (told.samples, told.samples_low, told.samples_high))
+    spread = _Spread(scene, found)
+    even = [_whole(found, n) for n in (told.samples, told.samples_low, told.samples_high)]
+    value, low, high = (spread.saving.samples * n for n in even)
     samples = _Range(value, low, high, confidence)
-    seconds = samples.seconds(found)
+    seconds = samples.seconds(spread)
     return QuotedError(
         relative_error=target,
         samples=samples.value,
@@ -100,6 +104,28 @@ def _quoted(found: PilotResult, target: float, confidence: float) -> QuotedError
         seconds=seconds.value,
         seconds_interval=seconds.interval,
     )
+
+
+class _Spread:
+    """How the picture spreads its samples, and what that makes of an even one's samples and seconds."""
+
+    def __init__(self, scene: Scene, found: PilotResult) -> None:
+        self.saving = found.saving or Saving()
+        self.rate = found.seconds_per_sample * self.saving.cost
+        """Seconds of a sample a pixel, on average over the picture."""
+        self.rate_deviation = found.rate_deviation
+        self._even_rate = found.seconds_per_sample
+        adaptive = scene.adaptive
+        drops = adaptive is not None and adaptive.strategy == "error" and not adaptive.biased
+        self._adaptive = adaptive if drops else None
+
+    def pilot_seconds(self, samples: float) -> float:
+        """Of the job's own pilot, which it drops before it takes so many samples a pixel."""
+        if self._adaptive is None:
+            return 0.0
+        given = self._adaptive.pilot_samples
+        even = samples / self.saving.samples
+        return self._even_rate * (given or pilot_samples(even, self._adaptive.pilot))
 
 
 class _Range:
@@ -111,14 +137,13 @@ class _Range:
         self._ends = (low, high)
         self._confidence = confidence
 
-    def seconds(self, found: PilotResult) -> _Range:
+    def seconds(self, spread: _Spread) -> _Range:
         """The same in seconds of tracing, its ends wider by what the pilot's rate is uncertain."""
-        spread = normal_quantile(self._confidence) * found.rate_deviation
-        rate = found.seconds_per_sample
-        low, high = self._ends
-        return _Range(
-            self.value * rate, low * rate * max(1 - spread, 0.0), high * rate * (1 + spread), self._confidence
+        wider = normal_quantile(self._confidence) * spread.rate_deviation
+        value, low, high = (
+            n * spread.rate + spread.pilot_seconds(self.value) for n in (self.value, *self._ends)
         )
+        return _Range(value, low * max(1 - wider, 0.0), high * (1 + wider), self._confidence)
 
 
 def _whole(found: PilotResult, samples: float) -> float:
@@ -130,17 +155,17 @@ def _whole(found: PilotResult, samples: float) -> float:
 
 def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
     """Which of the scene's rules holds first, as far as the pilot can tell."""
-    stop, rate, confidence = scene.stop, found.seconds_per_sample, scene.stop.confidence
+    stop, confidence, spread = scene.stop, scene.stop.confidence, _Spread(scene, found)
     ends: list[tuple[float, StopReason, _Range]] = []
     if stop.samples is not None:
         n = float(found.layout.samples or stop.samples)
         ends.append((n, StopReason.SAMPLES, _Range(n, n, n, confidence)))
     if stop.seconds is not None:
-        spread = normal_quantile(confidence) * found.rate_deviation
-        n = stop.seconds / rate
-        ends.append((n, StopReason.SECONDS, _Range(n, n / (1 + spread), n * (1 + spread), confidence)))
+        wider = normal_quantile(confidence) * found.rate_deviation
+        n = max(stop.seconds - spread.pilot_seconds(stop.seconds / spread.rate), 0.0) / spread.rate
+        ends.append((n, StopReason.SECONDS, _Range(n, n / (1 + wider), n * (1 + wider), confidence)))
     if stop.relative_error is not None:
-        row = _quoted(found, stop.relative_error, confidence)
+        row = _quoted(scene, found, stop.relative_error)
         if row is not None:
             n, i = row.samples, row.samples_interval
             ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, i.low, i.high or i.low, confidence)))
@@ -148,8 +173,8 @@ def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
         n = found.points[-1].samples
         ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, n, n, confidence)))
     _, reason, samples = min(ends, key=lambda end: end[0])
-    seconds = samples.seconds(found)
-    error = error_at(found.points, samples.value, confidence)
+    seconds = samples.seconds(spread)
+    error = error_at(found.points, samples.value / spread.saving.samples, confidence)
     return QuotedEnd(
         reason=reason,
         samples=samples.value,
@@ -165,8 +190,10 @@ def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
 
 def _doubts(scene: Scene, found: PilotResult) -> tuple[str, ...]:
     said = []
-    if scene.adaptive is not None:
-        said.append("the quote is for samples spread evenly; adaptive sampling should need fewer")
+    if scene.adaptive is not None and found.saving is None:
+        said.append(
+            "the quote is for samples spread evenly; where they are refined by contrast it may be off either way"
+        )
     last = found.points[-1]
     if found.layout.deterministic:
         said.append("the sampler is deterministic: samples and seconds can be quoted, errors cannot")

@@ -69,6 +69,31 @@ def test_a_target_takes_the_samples_that_were_quoted(engine: LocalEngine, tmp_pa
     assert told.pilot.pixels == 96 * 64
 
 
+@pytest.mark.parametrize("mode", ["certified", "fast"])
+def test_an_adaptive_picture_is_quoted_for_the_samples_that_it_takes(
+    engine: LocalEngine, tmp_path: Path, mode: str
+) -> None:
+    """Beside a plane without noise there is a small lamp's light: an even picture takes far more."""
+    sections: dict[str, Any] = {
+        "stop": {"relative_error": 0.02},
+        "environment": {"type": "constant", "radiance": 0.02},
+        "shapes": [*SCENE["shapes"][1:], {"type": "quad", "origin": [-9, -9, -4], "u": [18, 0, 0], "v": [0, 18, 0],
+                   "emission": {"radiance": 0.5}}],
+    }  # fmt: skip
+    even, _ = quote(engine, tmp_path / "even", **sections)
+    sections["adaptive"] = {"mode": mode}
+    told, _ = quote(engine, tmp_path / "quote", **sections)
+    record = JobRunner(engine, RenderTask("job", scene(**sections), tmp_path / "job")).run().record
+    assert record.adaptive is not None
+    real = record.points[-1].samples
+    assert real / 1.5 < told.end.samples < real * 1.5
+    assert even.end.samples > 1.5 * real
+    assert not told.warnings
+    rate = told.seconds_per_sample
+    if mode == "certified":  # the pilot that is dropped takes its time too
+        assert told.end.seconds > told.end.samples * rate
+
+
 def test_pilots_of_one_seed_are_alike_and_have_samples_of_their_own(
     engine: LocalEngine, tmp_path: Path
 ) -> None:

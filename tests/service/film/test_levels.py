@@ -14,11 +14,14 @@ from penumbra_service.film.allocation import (
     MOST,
     UNIFORM_SHARE,
     BlockPilot,
+    Saving,
     contrast_levels,
     densities,
     error_levels,
     pilot_of,
+    pilot_samples,
     pilot_suffices,
+    saving_of,
     theta_of,
 )
 from penumbra_service.film.error import EPSILON
@@ -118,6 +121,30 @@ def test_no_block_is_starved_and_none_takes_all() -> None:
     assert density.min() == UNIFORM_SHARE
     assert density.max() == MOST
     assert (densities(blocks(np.zeros((4, 4))), 1.0) == 1).all()
+
+
+def test_an_even_picture_saves_nothing_and_an_uneven_one_what_its_densities_do() -> None:
+    """Two blocks of equal cost, one of 81 times the noise, theta 1: needs are as 9 to 1, densities 1.6 and 0.4, levels 0 and 2,
+    counts 1.6 and 0.4 of the mean. The error of (81 / 1.6 + 1 / 0.4) / 82 is that of an even picture at 0.648 of its
+    samples."""
+    assert saving_of(blocks(np.ones((1, 2))), blocks(np.ones((1, 2))), 1.2) == Saving(1.0, 1.0)
+    uneven = blocks(np.array([[81.0, 1.0]]))
+    found = saving_of(uneven, uneven, 1.0)
+    assert found.samples == pytest.approx((81 / 1.6 + 1 / 0.4) / 82)
+    assert found.cost == pytest.approx(1.0)
+    dearer = blocks(np.array([[81.0, 1.0]]), cost=np.array([[4.0, 1.0]]))
+    assert saving_of(uneven, dearer, 1.0).cost == pytest.approx((1.6 * 4 + 0.4 * 1) / 5)
+    black = blocks(np.zeros((1, 2)))
+    assert saving_of(black, black, 1.0) == Saving()
+
+
+def test_a_pilots_length_is_that_at_which_it_has_enough() -> None:
+    points = [_noisy(16, 0.16)]
+    for even in (100, 500, 512, 1000, 5000):
+        samples = 16.0
+        while not pilot_suffices(samples, 1.0, StopRule(4, samples=even // 4), points):
+            samples *= 2
+        assert pilot_samples(even, 16) == samples
 
 
 def test_levels_are_the_nearest_in_the_logarithm() -> None:
