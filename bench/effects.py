@@ -28,7 +28,7 @@ from penumbra_kernels.device import Device
 from penumbra_kernels.dimensions import numbers_drawn
 from penumbra_kernels.features import Features, analyse
 from penumbra_kernels.nodes import Tile
-from penumbra_kernels.tracer import Flags, SamplePlan, Tracer
+from penumbra_kernels.tracer import MEASURING, Flags, SamplePlan, Tracer
 from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.parse import parse_scene
 from penumbra_scene.scene import Scene
@@ -93,7 +93,7 @@ class ColdCompiler:
         self._compiler = Compiler(device.info.id)
         self._known: dict[tuple[tuple[str, int], ...], float] = {}
         features = analyse(read("classic"))
-        self.first = self.seconds({**features.flags(), "PENUMBRA_PICK_FREEZE": 1})
+        self.first = self.seconds({**features.flags(), **MEASURING})
         """The first program of a process, whose compiler has to start."""
 
     def seconds(self, flags: Flags) -> float:

@@ -1,10 +1,28 @@
-"""How many random numbers a scene's program draws: the dimensions of the effects that are in, and no others."""
+"""How many random numbers a scene's program draws: at most, by the effects that are in, and really, as its paths count them."""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
 
 from penumbra_kernels.features import Features
+
+if TYPE_CHECKING:
+    from penumbra_kernels.nodes import Tile
+    from penumbra_kernels.tracer import Tracer
+
+DRAWN: Final = (
+    "pixel",
+    "lens",
+    "time",
+    "light choice",
+    "point on the light",
+    "lobe",
+    "direction",
+    "roulette",
+    "triangle of the light",
+)
+"""Dimensions in the order of the counters (cl/base/dimensions.h): the camera's, then the slots of hits."""
 
 CAMERA: Final[tuple[tuple[str, int, tuple[str, ...]], ...]] = (
     ("pixel", 2, ()),
@@ -15,6 +33,7 @@ CAMERA: Final[tuple[tuple[str, int, tuple[str, ...]], ...]] = (
 HIT: Final[tuple[tuple[str, int, tuple[str, ...]], ...]] = (
     ("light choice", 1, ("many_lights",)),
     ("point on the light", 2, ("area_lights", "environment")),
+    ("triangle of the light", 1, ("area_lights",)),
     ("lobe", 1, ("gloss", "transmission")),
     ("direction", 2, ("indirect",)),
     ("roulette", 1, ("indirect",)),
@@ -29,3 +48,14 @@ def _sum(table: tuple[tuple[str, int, tuple[str, ...]], ...], features: Features
 def numbers_drawn(features: Features) -> tuple[int, int]:
     """(for the camera's ray, at most for a hit with one shadow ray)."""
     return _sum(CAMERA, features), _sum(HIT, features)
+
+
+def drawn_per_path(tracer: Tracer, tiles: Sequence[Tile], sample_count: int) -> dict[str, float]:
+    """Numbers that a camera path draws in each dimension, counted over blocks by a tracer that is `measuring`; without the
+    dimensions that are not drawn from."""
+    before, paths = tracer.drawn.copy(), 0
+    for tile in tiles:
+        sums = tracer.trace(tile, 0, sample_count).sums
+        paths += int(sums["taken"].sum() + sums["rejected"].sum())
+    counts = zip(DRAWN, tracer.drawn - before, strict=True)
+    return {name: count / max(paths, 1) for name, count in counts if count}

@@ -404,6 +404,8 @@ CONSTANTS: Final[dict[str, int]] = {
     "GROUP_TIME": 4,
     "GROUP_LIGHTS": 8,
     "GROUP_DIRECTIONS": 16,
+    "DRAWN_BOUNCE": 3,  # of the counters of numbers drawn, the first of a hit's slots (dimensions.py)
+    "DRAWN_COUNT": 9,
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

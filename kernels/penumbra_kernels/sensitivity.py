@@ -129,7 +129,7 @@ def values_of(tracer: Tracer, tiles: Sequence[Tile], sample_count: int, other_gr
 
 
 def measure(tracer: Tracer, tiles: Sequence[Tile], sample_count: int) -> tuple[Share, ...]:
-    """The table of a scene: a tracer with `pick_freeze`, tiles of one size as blocks. Traces 2 + groups times as much."""
+    """The table of a scene: a tracer with `measuring`, tiles of one size as blocks. Traces 2 + groups times as much."""
     groups = groups_of(tracer.compiled.features)
     everything = sum(bit_of(group) for group in GROUPS)
     first = values_of(tracer, tiles, sample_count, 0)

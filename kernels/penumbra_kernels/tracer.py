@@ -74,12 +74,17 @@ ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("counts", lambda flags: flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]),
     ("levels", _has("ADAPTIVE")),
     ("layers", _has("LAYERS")),
+    ("drawn", lambda flags: bool(flags.get("PENUMBRA_COUNT_DRAWS"))),
     ("sums", _always),
     ("first_item", _always),
 )
 """trace.cl's arguments in order, each with the condition under which the program has it."""
 
-PER_LAUNCH: Final = frozenset({"params", "counts", "levels", "layers", "sums", "first_item"})
+PER_LAUNCH: Final = frozenset({"params", "counts", "levels", "layers", "drawn", "sums", "first_item"})
+
+
+MEASURING: Final[Flags] = {"PENUMBRA_PICK_FREEZE": 1, "PENUMBRA_COUNT_DRAWS": 1}
+"""Macros of the programs that measure noise and count random numbers, and that no picture is made with."""
 
 
 @dataclass(frozen=True)
@@ -119,17 +124,20 @@ class Tracer:
         plan: SamplePlan,
         *,
         program: str = "specialised",
-        pick_freeze: bool = False,
+        measuring: bool = False,
         keep_arrays: bool = True,
     ) -> None:
         """keep_arrays: leave the scene's arrays where they are; without, each is let go once the device has its copy.
-        pick_freeze: `other_groups` may name groups of dimensions that draw from a second stream (sensitivity.py)."""
+        measuring: `other_groups` may name groups of dimensions that draw from a second stream (sensitivity.py), and `drawn`
+        counts the numbers that are drawn."""
         self.device = device
         self.compiled = compiled
         self.plan = plan
         self.other_groups = 0
         """GROUP_* bits."""
-        self._take_program(program, {"PENUMBRA_PICK_FREEZE": 1} if pick_freeze else {})
+        self.drawn = np.zeros(CONSTANTS["DRAWN_COUNT"], np.int64)
+        """Numbers drawn so far, by dimension (dimensions.DRAWN); zeros where it is not measuring."""
+        self._take_program(program, MEASURING if measuring else {})
         started = time.perf_counter()
         arrays = tree_arrays(compiled.arrays, device.flags)
         self._buffers: dict[str, cl.Buffer] = {}
@@ -234,6 +242,10 @@ class Tracer:
         buffers["sums"] = self.device.allocate(sums.nbytes)
         if layers is not None:
             buffers["layers"] = self.device.allocate(layers.nbytes)
+        counted = self.flags.get("PENUMBRA_COUNT_DRAWS")
+        drawn = np.empty((items, len(self.drawn)), np.uint32) if counted else None
+        if drawn is not None:
+            buffers["drawn"] = self.device.allocate(drawn.nbytes)
         if self.flags["PENUMBRA_SAMPLER"] == CONSTANTS["SAMPLER_RANDOM"]:
             buffers["counts"] = self.device.upload(self._counts(tile, first_sample, sample_count))
         arguments = [
@@ -243,6 +255,9 @@ class Tracer:
         self.device.download(buffers["sums"], sums)
         if layers is not None:
             self.device.download(buffers["layers"], layers)
+        if drawn is not None:
+            self.device.download(buffers["drawn"], drawn)
+            self.drawn += drawn.sum(axis=0, dtype=np.int64)
         return SumNode(tile, first_sample, sample_count, sums, layers)
 
     def _run(self, arguments: list[Any], items: int, per_group: int, sample_count: int) -> None:

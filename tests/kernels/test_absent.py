@@ -265,7 +265,7 @@ def test_groups_that_are_out_change_no_bit_when_drawn_anew(device: Device) -> No
     scene = {"version": 1, **PLAIN, "film": {"width": 16, "height": 16}}
     compiled = compile_scene(Scene.model_validate(scene), NoAssets())
     assert groups_of(compiled.features) == ("pixel",)
-    tracer = Tracer(device, compiled, SamplePlan(2, 4), pick_freeze=True)
+    tracer = Tracer(device, compiled, SamplePlan(2, 4), measuring=True)
 
     def bits(groups: int) -> bytes:
         tracer.other_groups = groups

@@ -166,7 +166,7 @@ TILES = [Tile(8 * x, 8 * y, 8, 8) for y in range(6) for x in range(6)]
 
 def tracer_of(device: Device, **sections: Any) -> Tracer:
     scene = Scene.model_validate({**SCENE, **sections})
-    return Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(8, 4), pick_freeze=True)
+    return Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(8, 4), measuring=True)
 
 
 def test_a_pictures_table_adds_up_to_the_variance_of_its_replicates(device: Device) -> None:

@@ -111,11 +111,13 @@ static inline void gather_layers(Gather *gather, const uint i, const PathSample 
 }
 
 // One pixel of one replicate: all samples of the node. counts: points that fell into each sample (random), else null;
-// levels: of the tile's pixels (adaptive), else null; layers: null where there are none.
+// levels: of the tile's pixels (adaptive), else null; layers: null where there are none; drawn: DRAWN_COUNT numbers of the item's
+// (counting draws), else null.
 static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global Params *params,
                                          const __global float *filter_table, const __global float *shutter_table,
                                          const __global ushort *counts, const __global uchar *levels,
-                                         __global Layers *layers, __global Sum *out, const uint item) {
+                                         __global Layers *layers, __global uint *drawn, __global Sum *out,
+                                         const uint item) {
   const uint pixels = params->tile_width * params->tile_height;
   const uint replicate = item / pixels;
   const uint pixel = item - replicate * pixels;
@@ -125,6 +127,11 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
 #if PENUMBRA_AHEAD
   Ahead ahead;
   ahead_start(&sampler, &ahead);
+#endif
+#if PENUMBRA_COUNT_DRAWS
+  uint counted[DRAWN_COUNT];
+  for (uint k = 0; k < DRAWN_COUNT; k++) counted[k] = 0u;
+  sampler.drawn = counted;
 #endif
   Gather gather;
   gather_start(&gather);
@@ -163,6 +170,9 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
   out->rejected = gather.rejected;
   out->rejected_in = gather.rejected_in;
   out->rays = gather.rays;
+#if PENUMBRA_COUNT_DRAWS
+  for (uint k = 0; k < DRAWN_COUNT; k++) drawn[k] = counted[k];
+#endif
 #if PENUMBRA_LAYERS
   layers->albedo_depth[0] = gather.albedo_depth[top].x;
   layers->albedo_depth[1] = gather.albedo_depth[top].y;
@@ -236,6 +246,9 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #endif
 #if PENUMBRA_LAYERS
                     __global Layers *layers,
+#endif
+#if PENUMBRA_COUNT_DRAWS
+                    __global uint *drawn,
 #endif
                     __global Sum *sums, const uint first_item) {
   SceneData scene;
@@ -319,7 +332,11 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_LAYERS
     item_layers = layers + item;
 #endif
-    trace_item(&scene, params, filter_table, shutter_table, item_counts, pixel_levels, item_layers, sums + item,
-               item);
+    __global uint *item_drawn = 0;
+#if PENUMBRA_COUNT_DRAWS
+    item_drawn = drawn + item * DRAWN_COUNT;
+#endif
+    trace_item(&scene, params, filter_table, shutter_table, item_counts, pixel_levels, item_layers, item_drawn,
+               sums + item, item);
   }
 }

@@ -102,7 +102,7 @@ class Measurement:
     def _noise(self, blocks: Sequence[Tile]) -> tuple[NoiseShare, ...]:
         if self.scene.sampler.type in DETERMINISTIC:
             return ()
-        tracer = Tracer(self.device, self.compiled, self.plan, pick_freeze=True)
+        tracer = Tracer(self.device, self.compiled, self.plan, measuring=True)
         rows = measure(tracer, blocks, SAMPLES)
         if not any(row.alone for row in rows):
             return ()

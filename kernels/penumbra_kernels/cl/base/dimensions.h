@@ -18,6 +18,9 @@
 // The same for light `light` where every light is asked.
 #define DIM_LIGHT(bounce, slot, light) (DIM_BOUNCE(bounce, slot) | (((ulong)(light) + 1ul) << 32))
 
+// The counter of numbers drawn in this dimension, all bounces and lights together: below DRAWN_COUNT.
+static inline uint drawn_of(const ulong dim) { return dim < 16ul ? (uint)dim : DRAWN_BOUNCE + (uint)(dim & 15ul); }
+
 // What a dimension samples, coarsely: a GROUP_* bit.
 static inline uint group_of(const ulong dim) {
   if (dim < 16ul) return dim == DIM_PIXEL ? GROUP_PIXEL : (dim == DIM_LENS ? GROUP_LENS : GROUP_TIME);

@@ -137,6 +137,8 @@ static inline PathSample trace_path(const SceneData *scene, const __global Param
                                              mis && !alone, &result.effects, &result.rays);
     }
 #if PENUMBRA_INDIRECT
+    // Where nothing could come of a direction no number is drawn for it.
+    if (bsdf.type == MATERIAL_BLACK || (alone && bsdf_is_wide(&bsdf))) break;
     float3 wi, weight;
     uint event;
     const float u_lobe = bsdf_has_lobes(&bsdf) ? sample_1d(sampler, DIM_BOUNCE(bounce, SLOT_LOBE)) : 0.0f;

@@ -142,6 +142,7 @@ static inline bool bsdf_transmits(const Bsdf *b) {
 // Whether bsdf_sample asks for u_lobe.
 static inline bool bsdf_has_lobes(const Bsdf *b) {
 #if PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION
+  if (b->type == MATERIAL_CONDUCTOR) return b->alpha_x > 0.0f;
   return b->type != MATERIAL_DIFFUSE && b->type != MATERIAL_MIRROR;
 #else
   return false;

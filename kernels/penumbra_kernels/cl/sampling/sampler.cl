@@ -87,8 +87,11 @@ static inline void sampler_next_of(Sampler *s, const ulong index, const uint k) 
 }
 
 // Measuring what a group of dimensions adds to the noise (sensitivity.py) has some groups draw from a second stream, for which
-// there is room in `other`. Everywhere else this is the sampler itself.
-static inline const Sampler *stream_of(const Sampler *s, const ulong dim, Sampler *other) {
+// there is room in `other`, and counts the numbers that are drawn. Everywhere else this is the sampler itself.
+static inline const Sampler *stream_of(const Sampler *s, const ulong dim, const uint numbers, Sampler *other) {
+#if PENUMBRA_COUNT_DRAWS
+  s->drawn[drawn_of(dim)] += numbers;
+#endif
 #if PENUMBRA_PICK_FREEZE
   if (s->other_groups & group_of(dim)) {
     *other = *s;
@@ -105,7 +108,7 @@ static inline float sample_1d(const Sampler *s, const ulong dim) {
   return ahead_1d(s, dim);
 #else
   Sampler other;
-  return DRAW_1D(stream_of(s, dim, &other), dim, s->index, s->strata);
+  return DRAW_1D(stream_of(s, dim, 1u, &other), dim, s->index, s->strata);
 #endif
 }
 static inline float2 sample_2d(const Sampler *s, const ulong dim) {
@@ -113,7 +116,7 @@ static inline float2 sample_2d(const Sampler *s, const ulong dim) {
   return ahead_2d(s, dim);
 #else
   Sampler other;
-  return DRAW_2D(stream_of(s, dim, &other), dim, s->index, s->strata);
+  return DRAW_2D(stream_of(s, dim, 2u, &other), dim, s->index, s->strata);
 #endif
 }
 // The point of a bounce's SLOT_DIRECTION.
@@ -134,10 +137,10 @@ static inline uint planned(const Sampler *s, const uint m) {
 static inline float sample_1d_of(const Sampler *s, const ulong dim, const uint j, const uint m) {
   if (m == 1u) return sample_1d(s, dim);
   Sampler other;
-  return DRAW_1D(stream_of(s, dim, &other), dim, s->index * m + j, planned(s, m));
+  return DRAW_1D(stream_of(s, dim, 1u, &other), dim, s->index * m + j, planned(s, m));
 }
 static inline float2 sample_2d_of(const Sampler *s, const ulong dim, const uint j, const uint m) {
   if (m == 1u) return sample_2d(s, dim);
   Sampler other;
-  return DRAW_2D(stream_of(s, dim, &other), dim, s->index * m + j, planned(s, m));
+  return DRAW_2D(stream_of(s, dim, 2u, &other), dim, s->index * m + j, planned(s, m));
 }

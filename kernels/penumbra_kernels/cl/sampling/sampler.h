@@ -31,4 +31,7 @@ typedef struct {
 #if PENUMBRA_PICK_FREEZE
   uint other_groups;  // GROUP_* bits that draw from a second, independent stream
 #endif
+#if PENUMBRA_COUNT_DRAWS
+  uint *drawn;  // numbers drawn so far: of each camera dimension, then of each slot of the hits' (drawn_of)
+#endif
 } Sampler;
