@@ -27,6 +27,10 @@ demo: setup ## start the service, render an example scene as a client would, sto
 test: setup ## run the whole test suite
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(ARGS)
 
+.PHONY: test-postgres
+test-postgres: setup ## the API's tests once more, with the service on PostgreSQL (Debian's package): two minutes
+	@PENUMBRA_TEST_DATABASE=postgresql PENUMBRA_REQUIRE_TOOLS=1 $(BIN)/python -m pytest tests/service/api $(ARGS)
+
 .PHONY: test-hard test-oclgrind numerics
 test-hard: setup ## the hard cases and examples with all their samples: some minutes
 	@PENUMBRA_HARD_CASES=full $(BIN)/python -m pytest tests/hardcases --timeout 1800 $(ARGS)

@@ -49,6 +49,14 @@ def s3_url(s3_server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     s3fs.S3FileSystem.clear_instance_cache()
 
 
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """The URL of an empty database."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'a.sqlite3'}"
+    return str(request.getfixturevalue("postgres_url"))
+
+
 @pytest.fixture(params=["folder", "memory", "s3"])
 def files_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """An empty place for files, in each kind of file system: what is stored must not depend on it."""

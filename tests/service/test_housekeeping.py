@@ -25,9 +25,14 @@ NOW = datetime.now(UTC)
 class House:
     """A service's stores."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, database_url: str) -> None:
         self.settings = Settings(
-            data=folder, keep_days=10, keep_assets_days=20, keep_decoded_days=30, keep_contents_days=40
+            data=folder,
+            database_url=database_url,
+            keep_days=10,
+            keep_assets_days=20,
+            keep_decoded_days=30,
+            keep_contents_days=40,
         )
         self.database = Database(self.settings.database)
         self.database.migrate()
@@ -57,8 +62,8 @@ class House:
 
 
 @pytest.fixture
-def house(tmp_path: Path) -> Iterator[House]:
-    house = House(tmp_path)
+def house(tmp_path: Path, database_url: str) -> Iterator[House]:
+    house = House(tmp_path, database_url)
     yield house
     house.database.close()
 

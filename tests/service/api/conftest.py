@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +21,8 @@ from penumbra_service.results import HEATMAP, RECEIPT, RESULT, THUMBNAIL
 from penumbra_service.running import Outcome, Task
 from penumbra_service.service import RenderService
 from penumbra_service.settings import Settings
+
+ON_POSTGRES = os.environ.get("PENUMBRA_TEST_DATABASE") == "postgresql"
 
 SCENE: dict[str, Any] = {
     "version": 1,
@@ -104,8 +107,17 @@ def scene() -> dict[str, Any]:
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> Settings:
-    return Settings(data=tmp_path / "data", heartbeat_seconds=1.0, shutdown_seconds=5.0)
+def settings(request: pytest.FixtureRequest, tmp_path: Path) -> Settings:
+    """On SQLite, or where PENUMBRA_TEST_DATABASE says so (`make test-postgres`) on PostgreSQL."""
+    url = request.getfixturevalue("postgres_url") if ON_POSTGRES else ""
+    return Settings(data=tmp_path / "data", database_url=url, heartbeat_seconds=1.0, shutdown_seconds=5.0)
+
+
+@pytest.fixture
+def alone(settings: Settings) -> None:
+    """Skips where other services may use the database: what is young there is left to them."""
+    if settings.shared:
+        pytest.skip("a service that shares its database waits before it takes what another may hold")
 
 
 @pytest.fixture

@@ -253,6 +253,7 @@ def test_jobs_go_on_after_a_restart(settings: Any, scene: dict[str, Any], runner
     assert runner.begun_at == [0, 6, 0]
 
 
+@pytest.mark.usefixtures("alone")
 def test_a_killed_service_leaves_no_job_behind(
     settings: Any, scene: dict[str, Any], runner: Any, until: Any
 ) -> None:
@@ -287,6 +288,7 @@ def test_the_queue_outlives_a_ledger_that_fails_for_a_while(
     assert refused == ["done", "failed"]
 
 
+@pytest.mark.usefixtures("alone")
 def test_a_restart_sweeps_up_what_no_job_needs(
     settings: Any, scene: dict[str, Any], runner: Any, until: Any
 ) -> None:

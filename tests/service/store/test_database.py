@@ -102,8 +102,8 @@ def test_the_newest_migration_is_alembics_head(database: Database) -> None:
     assert database.revision() == newest_revision()
 
 
-def test_a_database_of_an_older_version_is_migrated(tmp_path: Path) -> None:
-    database = Database(f"sqlite:///{tmp_path / 'old.sqlite3'}")
+def test_a_database_of_an_older_version_is_migrated(database_url: str) -> None:
+    database = Database(database_url)
     assert database.revision() is None
     database.migrate()
     with database.write() as connection:
