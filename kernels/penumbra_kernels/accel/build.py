@@ -78,11 +78,12 @@ class Tree:
         root = int(_moved_words(np.array([self.root], np.uint32), node_base, packet_base)[0])
         return replace(self, nodes=nodes, root=root)
 
-    def grafted(self, word: int, root: int, stack: int) -> Tree:
-        """With the leaf `word`, one of several, replaced by another tree's root, whose traversal needs `stack` entries."""
+    def grafted(self, word: int, root: int) -> Tree:
+        """With the leaf `word`, one of several, replaced by another tree's root. The stack stays this tree's own: whoever
+        grafts sees to it that both fit."""
         nodes = self.nodes.copy()
         nodes["child"][nodes["child"] == word] = root
-        return replace(self, nodes=nodes, stack=self.stack + stack)
+        return replace(self, nodes=nodes)
 
 
 def _moved_words(words: NDArray[np.uint32], node_base: int, packet_base: int) -> NDArray[np.uint32]:

@@ -2,8 +2,9 @@
 
 What stands still is flattened into the world's tree, relative to the anchor in float64. What moves,
 prototypes, and spheres that a transform makes ellipsoids have trees of their own, placed by instances.
-Where much stands still and there are instances, the still part is a tree of its own below the world's, so
-that it is found again in the next frame, whatever moved.
+What stands still while the shutter is open but is elsewhere, or of another form, in other frames lies in the world's
+frame as well. Where much never changes and something else does, or there are instances, what never changes is a tree of
+its own below the world's, so that it is found again in the next frame, whatever moved.
 Shapes of prototypes that emit are copied for each placement, so that every light has its own shape record.
 """
 
@@ -24,7 +25,7 @@ from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import Assets
 from penumbra_kernels.compile import bounds
 from penumbra_kernels.compile.materials import BLACK_MATERIAL, DEFAULT_MATERIAL
-from penumbra_kernels.compile.placement import Motion, Shutter, static_motion
+from penumbra_kernels.compile.placement import Motion, Shutter, is_deformed, static_motion
 from penumbra_kernels.compile.primitives import (
     NONE,
     Growing,
@@ -35,7 +36,7 @@ from penumbra_kernels.compile.primitives import (
     add_sphere,
     add_triangles,
 )
-from penumbra_kernels.compile.transforms import is_similarity
+from penumbra_kernels.compile.transforms import is_animated, is_similarity
 from penumbra_kernels.layout import CONSTANTS, INSTANCE, KEYFRAME, SHAPE
 from penumbra_kernels.reach import emits
 
@@ -131,6 +132,8 @@ class _Compiler:
         self.known = known
         self.vertices = Vertices()
         self.world = TreeItems()
+        self.changing: list[tuple[int, int]] = []
+        """Ranges of its items that are elsewhere, or of another form, in other frames."""
         self.placed: list[tuple[NDArray[np.float64], NDArray[np.float64], int]] = []
         """Boxes and leaf words of the instances."""
         self.trees: list[Tree] = []
@@ -151,7 +154,7 @@ class _Compiler:
             elif isinstance(shape, Plane):
                 self._plane(shape, i)
             else:
-                self._place(shape, i, self._outer(shape), where)
+                self._place(shape, i, self._outer(shape), where, changes=is_animated(shape.transform))
         return self._result(self._world())
 
     def _outer(self, shape: Surface | Plane | Instance) -> Motion:
@@ -205,14 +208,25 @@ class _Compiler:
         )
 
     def _place(
-        self, model: Surface, scene_shape: int, outer: Motion, where: str, inner: Motion | None = None
+        self,
+        model: Surface,
+        scene_shape: int,
+        outer: Motion,
+        where: str,
+        inner: Motion | None = None,
+        *,
+        changes: bool,
     ) -> None:
-        """A shape of its own: in the world's tree where it stands still, else an instance."""
+        """A shape of its own: in the world's tree where it stands still, else an instance. `changes`: it is elsewhere in
+        other frames."""
         motions = [outer] if inner is None else [outer, inner]
         if not any(m.moves for m in motions):
             matrix = outer.start if inner is None else outer.start @ inner.start
             if not isinstance(model, Sphere) or is_similarity(matrix):
+                first = self.world.count
                 ranges = self._primitives(model, scene_shape, matrix, self.world, where)
+                if changes or (isinstance(model, Mesh) and is_deformed(model)):
+                    self.changing.append((first, self.world.count))
                 self._note(model, scene_shape, ranges, NONE, motions)
                 return
         items = TreeItems()
@@ -266,7 +280,9 @@ class _Compiler:
             self._add_instance(part, outer, scene_shape + 1)
         for model in self.scene.prototypes[name]:
             if emits(model):
-                self._place(model, scene_shape, outer, where, Motion.of(model.transform, self.shutter))
+                inner = Motion.of(model.transform, self.shutter)
+                changes = is_animated(instance.transform) or is_animated(model.transform)
+                self._place(model, scene_shape, outer, where, inner, changes=changes)
 
     def _prototype(self, name: str, scene_shape: int, outer: Motion) -> list[_Part]:
         """A tree for what stands still in the prototype, and one for each shape that moves in it or is an
@@ -315,28 +331,39 @@ class _Compiler:
 
     def _world(self) -> int:
         """The root of the world's tree."""
-        if self.placed and self.world.count > SWEEP_LIMIT:
-            root = self._world_in_two()
+        still = self.world.count - sum(end - first for first, end in self.changing)
+        if still > SWEEP_LIMIT and (self.placed or still < self.world.count):
+            root = self._world_in_parts()
             if root is not None:
                 return root
         for lo, hi, word in self.placed:
             self.world.add(lo[None], hi[None], word)
         return self._tree(self.world).root
 
-    def _world_in_two(self) -> int | None:
-        """The tree over what stands still as one leaf of a tree over the instances; None where that is too deep."""
-        still_tree = self.known.tree(self.world.items(), self.world.copies())
+    def _world_in_parts(self) -> int | None:
+        """The trees over what never changes and over what does, as leaves of a tree over them and the instances; None where
+        that is too deep."""
+        parts = (
+            [items for items in self.world.split(self.changing) if items.count]
+            if self.changing
+            else [self.world]
+        )
         top_items = TreeItems()
         for lo, hi, word in self.placed:
             top_items.add(lo[None], hi[None], word)
-        still = instance_word(CONSTANTS["LEAF_INSTANCE_MASK"])  # stands for it: no instance has this number
-        lo, hi = self.world.bounds()
-        top_items.add(lo[None], hi[None], still)
+        # Words that stand for them: no instance has these numbers.
+        words = [instance_word(CONSTANTS["LEAF_INSTANCE_MASK"] - i) for i in range(len(parts))]
+        for items, word in zip(parts, words, strict=True):
+            lo, hi = items.bounds()
+            top_items.add(lo[None], hi[None], word)
         top = self.known.tree(top_items.items(), top_items.copies())
-        if top.stack + still_tree.stack > MAX_STACK:
+        stack = max(self.known.tree(items.items(), items.copies()).stack for items in parts)
+        if top.stack + stack > MAX_STACK:
             return None
-        root = self._tree(self.world).root
-        top = top.moved(self.nodes, self.packet_count).grafted(still, root, still_tree.stack)
+        roots = [self._tree(items).root for items in parts]
+        top = top.moved(self.nodes, self.packet_count)
+        for word, root in zip(words, roots, strict=True):
+            top = top.grafted(word, root)
         self._append(top)
         return top.root
 

@@ -108,6 +108,12 @@ def form_keys(keys: tuple[MeshKeyframe, ...], first: float, last: float) -> tupl
     return keys[begin : max(begin, end) + 1]
 
 
+def is_deformed(mesh: Mesh) -> bool:
+    """Whether a mesh has not the same form at all times."""
+    forms = mesh.deformation or ()
+    return any(form.positions != forms[0].positions for form in forms)
+
+
 def deforms(mesh: Mesh, shutter: Shutter) -> bool:
     """Whether a mesh changes its form while the shutter is open."""
     if mesh.deformation is None or shutter.open >= shutter.close:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -129,6 +130,25 @@ class TreeItems:
         """The key of one more deforming mesh."""
         self._deforming.append((keyframes, stride))
         return len(self._deforming)
+
+    def split(self, ranges: Sequence[tuple[int, int]]) -> tuple[TreeItems, TreeItems]:
+        """All other items, none of them deforming, and those of the ranges [first, end), each in their order."""
+        chosen = np.zeros(self.count, bool)
+        for first, end in ranges:
+            chosen[first:end] = True
+        return self._some(~chosen, []), self._some(chosen, self._deforming)
+
+    def _some(self, mask: NDArray[np.bool_], deforming: list[tuple[int, int]]) -> TreeItems:
+        some = TreeItems()
+        some._deforming = deforming
+        for ours, all_of in (
+            (some._lo, self._lo),
+            (some._hi, self._hi),
+            (some._key, self._key),
+            (some._word, self._word),
+        ):
+            ours.append(all_of.array[mask])
+        return some
 
     def copies(self) -> NDArray[np.int64]:
         """By key: packets that a group of triangles takes."""

@@ -276,6 +276,14 @@ def is_similarity(matrix: Array) -> bool:
     return bool(np.abs(gram - size * np.eye(3)).max() <= 1e-6 * size)
 
 
+def is_animated(transform: Transform) -> bool:
+    """Whether the thing is not in the same place at all times."""
+    if not isinstance(transform, Keyframes):
+        return False
+    first, *others = (matrix_of(key.transform) for key in transform.keyframes)
+    return not all(np.array_equal(matrix, first) for matrix in others)
+
+
 def moves(transform: Transform, time: float, shutter_open: float, shutter_close: float) -> bool:
     """Whether the thing moves while the shutter, [time + shutter_open, time + shutter_close], is open."""
     return len(poses_of(transform, time + shutter_open, time + shutter_close)) > 1

@@ -98,6 +98,70 @@ def test_a_frame_builds_only_what_moved(kit: Any) -> None:
     assert trees.built == before + 1
 
 
+def _changing(kit: Any, what: str) -> tuple[dict[str, Any], Any]:
+    """A still mesh of many triangles, and beside it something that is not the same in another frame."""
+    scene, meshes = _scene(kit)
+    scene["camera"] = {"type": "perspective"}  # the shutter is open for no time: nothing moves while it is
+    still, ball = scene["shapes"]
+    if what == "deformed":
+        positions, faces = _bumpy(6)
+        forms = [(positions + np.array([0, 0.3 + height, 0])).tolist() for height in (0, 0.2)]
+        keys = [{"time": 3 * i, "positions": form} for i, form in enumerate(forms)]
+        ball = {"type": "mesh", "positions": forms[0], "indices": faces.tolist(), "deformation": keys}
+    if what == "deforming while the shutter is open":
+        return _changing_shutter(_changing(kit, "deformed"))
+    return {**scene, "shapes": [ball, still]}, meshes
+
+
+def _changing_shutter(made: tuple[dict[str, Any], Any]) -> tuple[dict[str, Any], Any]:
+    scene, meshes = made
+    return {**scene, "camera": {"type": "perspective", "shutter": {"open": 0, "close": 0.5}}}, meshes
+
+
+CHANGES = ["moved", "deformed", "deforming while the shutter is open"]
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_what_changes_between_frames_is_built_alone(kit: Any, what: str) -> None:
+    """Its own tree, and the one above both; between the same two forms of a mesh that deforms in the shutter, nothing."""
+    scene, meshes = _changing(kit, what)
+    trees = Trees()
+    large: list[int] = []
+    build = trees._from_disk_or_built
+
+    def count(key: str, items: Items, copies: Any) -> Any:
+        large.append(len(items.lo))
+        return build(key, items, copies)
+
+    trees._from_disk_or_built = count  # type: ignore[method-assign]
+    _compile(scene, meshes, 0.0, trees)
+    own = 1 if what == "moved" else 72
+    assert sorted(large) == sorted([2, own, 3200])
+    again = [] if what == CHANGES[2] else sorted([2, own])
+    for frame in (1, 2):
+        large.clear()
+        before = trees.built
+        _compile(scene, meshes, float(frame), trees)
+        assert sorted(large) == again
+        assert trees.built == before + len(again)
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_a_changing_part_of_its_own_gives_the_hits_of_one_tree(
+    probe: Any, kit: Any, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    scene, meshes = _changing(kit, what)
+    rng = np.random.default_rng(9)
+    origins, directions = rng.uniform(-2, 2, (4000, 3)), kit.directions(rng, 4000)
+    shutter = 0.5 if what == CHANGES[2] else 0.0
+    rays = kit.rays(origins, directions, time=rng.uniform(1, 1 + shutter, 4000))
+    parts = probe.trace(_compile(scene, meshes, 1.0), rays)
+    monkeypatch.setattr("penumbra_kernels.compile.geometry.SWEEP_LIMIT", 1 << 30)
+    one = probe.trace(_compile(scene, meshes, 1.0), rays)
+    assert (one["kind"] == kit.TRIANGLE).sum() > 500
+    assert one.tobytes() == parts.tobytes()
+
+
 @pytest.mark.parametrize("time", [0.0, 1.0])
 def test_a_still_part_below_the_instances_gives_the_hits_of_one_tree(
     probe: Any, kit: Any, monkeypatch: pytest.MonkeyPatch, time: float
