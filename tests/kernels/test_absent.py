@@ -156,7 +156,7 @@ def test_code_of_an_effect_is_in_programs_that_have_it_and_in_no_other(effect: s
 
 def test_a_program_without_bounces_has_no_loop_over_them() -> None:
     source = preprocessed(assemble("trace.cl", flags_of("delta_lights")))
-    body = source[source.index("PathSample trace_path(") :]
+    body = source[source.index("bool path_scatter(") :]
     body = body[: body.index("\n}")]
     assert "SLOT_DIRECTION" not in body
     assert "spawn_ray" not in body

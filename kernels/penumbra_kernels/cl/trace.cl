@@ -11,7 +11,7 @@
 #define PENUMBRA_AHEAD (PENUMBRA_SAMPLER == SAMPLER_SOBOL && !PENUMBRA_DEVICE_GPU && !PENUMBRA_PICK_FREEZE)
 #include "film/filter.cl"
 #include "camera/camera.cl"
-#include "integrators/path.cl"
+#include "integrators/paths.cl"
 #include "sampling/share.cl"
 
 #define MAX_LEVELS 9  // nodes of up to 2^8 samples are summed here, pairwise
@@ -60,15 +60,15 @@ typedef struct {
 #endif
 } Gather;
 
+// Draws a camera path's ray, and what the path's value is to be multiplied with.
+static inline void start_path(const SceneData *scene, const __global Params *params, const __global float *filter_table,
+                              const __global float *shutter_table, const Sampler *sampler, const uint x, const uint y,
+                              Path *path, float *weight) {
+  path_start(path, start_ray(params, filter_table, shutter_table, scene->keyframes, sampler, x, y, weight));
+}
+
 // One camera path's value; counts it.
-static inline float4 take_sample(const SceneData *scene, const __global Params *params,
-                                 const __global float *filter_table, const __global float *shutter_table,
-                                 const Sampler *sampler, const uint x, const uint y, Gather *gather, PathSample *path) {
-  float weight;
-  const Ray ray = start_ray(params, filter_table, shutter_table, scene->keyframes, sampler, x, y, &weight);
-  *path = trace_path(scene, params, sampler, ray);
-  path->depth *= dot3(ray.d, (float3)(-params->camera.world_from_camera[0][2], -params->camera.world_from_camera[1][2],
-                                      -params->camera.world_from_camera[2][2]));
+static inline float4 path_value(const PathSample *path, const float weight, Gather *gather) {
   gather->rays += path->rays;
   const float3 c = path->radiance;
   if (!is_valid(c)) {
@@ -141,25 +141,43 @@ static PENUMBRA_NOINLINE void trace_item(const SceneData *scene, const __global 
 #else
   const Share share = whole_share(params);
 #endif
-  for (uint i = 0; i < share.count; i++) {
-    PathSample path;
 #if PENUMBRA_SAMPLER == SAMPLER_RANDOM
+  for (uint i = 0; i < share.count; i++) {
     const uint count = counts[((ulong)replicate * params->sample_count + i) * pixels + pixel];
     float4 value = (float4)(0.0f);
-    path = no_path();
+    PathSample sum = no_path();
     for (uint k = 0; k < count; k++) {
-      PathSample one;
+      Path path;
+      float weight;
       sampler_next_of(&sampler, share.first + i, k);
-      value += take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &one);
-      add_layers(&path, &one);
+      start_path(scene, params, filter_table, shutter_table, &sampler, x, y, &path, &weight);
+      trace_path(scene, params, &sampler, &path);
+      value += path_value(&path.result, weight, &gather);
+      add_layers(&sum, &path.result);
     }
-#else
-    sampler_next(&sampler, share.first + i);
-    const float4 value = take_sample(scene, params, filter_table, shutter_table, &sampler, x, y, &gather, &path);
-#endif
     tree_add(gather.levels, i, leaf(value, share.thinned));
-    gather_layers(&gather, i, &path, share.thinned);
+    gather_layers(&gather, i, &sum, share.thinned);
   }
+#else
+  Sampler samplers[PATHS];
+  Path paths[PATHS];
+  float weights[PATHS];
+  for (uint i = 0, count; i < share.count; i += count) {
+    const ulong first = share.first + i;
+    count = paths_from(first, share.count - i);
+    for (uint k = 0; k < count; k++) {
+      sampler_next(&sampler, first + k);
+      samplers[k] = sampler;
+      start_path(scene, params, filter_table, shutter_table, &sampler, x, y, paths + k, weights + k);
+    }
+    trace_paths(scene, params, samplers, count, paths);
+    for (uint k = 0; k < count; k++) {
+      const float4 value = path_value(&paths[k].result, weights[k], &gather);
+      tree_add(gather.levels, i + k, leaf(value, share.thinned));
+      gather_layers(&gather, i + k, &paths[k].result, share.thinned);
+    }
+  }
+#endif
   const uint top = level_of(MAX(share.count, 1u));
   out->rgba[0] = gather.levels[top].x;
   out->rgba[1] = gather.levels[top].y;

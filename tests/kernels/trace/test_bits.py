@@ -35,6 +35,28 @@ def test_tiles_and_leases_change_no_bit(device: Device, sampler: str) -> None:
         assert part.tobytes() == np.ascontiguousarray(window).tobytes()
 
 
+@pytest.mark.parametrize(
+    "integrator", [{}, {"shadow_rays": 3}, {"light_selection": "all", "shadow_rays": 2}], ids=str
+)
+def test_paths_taken_together_are_the_paths_taken_alone(
+    device: Device, integrator: dict[str, object]
+) -> None:
+    """Whatever their length: in a room, with bounces beyond those whose numbers are drawn ahead, and a roulette."""
+    data = busy().model_dump(mode="json", exclude_none=True)
+    data["integrator"] |= {"max_bounces": 14, "roulette_start": 9, **integrator}
+    data["materials"]["wall"] = {"type": "diffuse", "base_color": [0.95, 0.95, 0.95]}
+    data["shapes"].append({"type": "sphere", "center": [0, 0, 0], "radius": 12, "material": "wall"})
+    scene = Scene.model_validate(data)
+    tracer = Tracer(device, compile_scene(scene, NoAssets()), SamplePlan(2, 16), program="generic")
+    tile = Tile(4, 3, 16, 14)
+    nodes = [tracer.trace(tile, i, 1) for i in range(16)]
+    while len(nodes) > 1:
+        nodes = [merge(a, b) for a, b in zip(nodes[::2], nodes[1::2], strict=True)]
+    together = tracer.trace(tile, 0, 16)
+    assert together.sums["rays"].max() > 16 * 14
+    assert together.sums.tobytes() == nodes[0].sums.tobytes()
+
+
 @pytest.mark.parametrize("selection", ["power", "tree"])
 def test_the_generic_program_gives_the_specialised_ones_bits(device: Device, selection: str) -> None:
     compiled = compile_scene(busy(selection=selection), NoAssets())

@@ -36,6 +36,11 @@ static inline void camera_matrix(const __global Camera *c, const __global Keyfra
     for (int j = 0; j < 4; ++j) m[i][j] = c->world_from_camera[i][j];
 }
 
+// Where it looks at the shutter's opening, in the world.
+static inline float3 camera_axis(const __global Camera *c) {
+  return (float3)(-c->world_from_camera[0][2], -c->world_from_camera[1][2], -c->world_from_camera[2][2]);
+}
+
 // The ray through a film point. Its direction has length 1 along the optical axis. A thin lens bends every ray from the
 // film point to one point of the plane in focus, which is perpendicular to the axis (Cook, Porter, Carpenter 1984): from a
 // lens point l to p f at distance f that is the direction p - l / f, free of cancellation however far the plane is, and

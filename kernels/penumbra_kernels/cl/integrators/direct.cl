@@ -14,63 +14,66 @@ static inline float power_heuristic(const float a, const float b) {
   return 1.0f / (1.0f + r * r);
 }
 
-// One shadow ray to light `light`. `chance` is how many such samples this light expects per hit: picks times pmf.
-// The result is not yet divided by `chance`. use_mis: weigh against the lobe's own density. Counts the ray that it traces.
-static inline float3 light_contribution(const SceneData *scene, const Surface *surface, const Bsdf *bsdf,
-                                        const uint light, const float time, const float u_triangle, const float2 u,
-                                        const float chance, const bool use_mis, uint *effects, uint *rays) {
+// A sample of a light: the ray to it, and what it brings to the viewer unless something is in between.
+typedef struct {
+  Ray ray;
+  float3 value;
+  uint effect;  // EFFECT_*_LIGHT
+} LightRay;
+
+// A sample of light `light`. `chance` is how many such samples this light expects per hit: picks times pmf. The value is not
+// yet divided by `chance`. use_mis: weigh against the lobe's own density. False where nothing comes that way.
+static inline bool light_ray(const SceneData *scene, const Surface *surface, const Bsdf *bsdf, const uint light,
+                             const float time, const float u_triangle, const float2 u, const float chance,
+                             const bool use_mis, LightRay *out) {
   LightSample sample;
-  if (!light_sample(scene, light, surface->p, time, u_triangle, u, &sample)) return (float3)(0.0f);
+  if (!light_sample(scene, light, surface->p, time, u_triangle, u, &sample)) return false;
   float lobe_pdf;
   const float3 f = bsdf_eval(bsdf, sample.wi, &lobe_pdf);
   const float3 value = f * sample.radiance;
-  if (value.x + value.y + value.z == 0.0f) return (float3)(0.0f);  // a NaN goes on, to be counted
-  const Ray shadow = sample.distance < INF_F
-                         ? spawn_ray_to(surface, sample.p, sample.p_error, sample.n, time)
-                         : spawn_ray(surface, sample.wi, time);
-  (*rays)++;
-  if (occluded(scene, shadow)) return (float3)(0.0f);
-  *effects |= sample.delta ? EFFECT_DELTA_LIGHT : EFFECT_AREA_LIGHT;
+  if (value.x + value.y + value.z == 0.0f) return false;  // a NaN goes on, to be counted
+  out->ray = sample.distance < INF_F ? spawn_ray_to(surface, sample.p, sample.p_error, sample.n, time)
+                                     : spawn_ray(surface, sample.wi, time);
+  out->effect = sample.delta ? EFFECT_DELTA_LIGHT : EFFECT_AREA_LIGHT;
   const float weight = use_mis && !sample.delta ? power_heuristic(chance * sample.pdf, lobe_pdf) : 1.0f;
-  return value * (weight / sample.pdf);
+  out->value = value * (weight / sample.pdf);
+  return true;
 }
 
-// Radiance that the lights send by way of this surface point towards the viewer.
-static inline float3 direct_light(const SceneData *scene, const __global Params *params, const Sampler *sampler,
-                                  const Surface *surface, const Bsdf *bsdf, const Receiver *receiver, const uint bounce,
-                                  const float time, const bool use_mis, uint *effects, uint *rays) {
-  const uint picks = params->shadow_rays;
-  float3 sum = (float3)(0.0f);
+// How many samples of lights a hit takes.
+static inline uint direct_count(const SceneData *scene, const __global Params *params) {
   const uint total = light_entries(scene);
-  if (total == 0u) return sum;
+  return params->options & OPTION_ALL_LIGHTS ? total * params->shadow_rays : (total ? params->shadow_rays : 0u);
+}
+
+// Sample number n of a hit: of every light in turn, or of one that is chosen. The sum of their values is yet to be divided by
+// the number of shadow rays.
+static inline bool direct_ray(const SceneData *scene, const __global Params *params, const Sampler *sampler,
+                              const Surface *surface, const Bsdf *bsdf, const Receiver *receiver, const uint bounce,
+                              const uint n, const float time, const bool use_mis, LightRay *out) {
+  const uint picks = params->shadow_rays;
   if (params->options & OPTION_ALL_LIGHTS) {
-    for (uint light = 0; light < total; light++) {
-      for (uint j = 0; j < picks; j++) {
-        const float2 u = light_has_extent(scene, light)
-                             ? sample_2d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT, light), j, picks)
-                             : (float2)(0.0f);
-        const float ut = light_has_triangles(scene, light)
-                             ? sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks)
-                             : 0.0f;
-        sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks, use_mis, effects, rays);
-      }
-    }
-    return sum * (1.0f / (float)picks);
-  }
-  for (uint j = 0; j < picks; j++) {
-    const float us = total > 1u ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), j, picks) : 0.0f;
-    float pmf;
-    const uint light = light_choose(scene, receiver, us, &pmf);
-    if (!(pmf > 0.0f)) continue;
+    const uint light = n / picks, j = n - light * picks;
     const float2 u = light_has_extent(scene, light)
-                         ? sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), j, picks)
+                         ? sample_2d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT, light), j, picks)
                          : (float2)(0.0f);
     const float ut = light_has_triangles(scene, light)
-                         ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), j, picks)
+                         ? sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks)
                          : 0.0f;
-    sum += light_contribution(scene, surface, bsdf, light, time, ut, u, (float)picks * pmf, use_mis, effects,
-                              rays) *
-           (1.0f / pmf);
+    return light_ray(scene, surface, bsdf, light, time, ut, u, (float)picks, use_mis, out);
   }
-  return sum * (1.0f / (float)picks);
+  const float us =
+      light_entries(scene) > 1u ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks) : 0.0f;
+  float pmf;
+  const uint light = light_choose(scene, receiver, us, &pmf);
+  if (!(pmf > 0.0f)) return false;
+  const float2 u = light_has_extent(scene, light)
+                       ? sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), n, picks)
+                       : (float2)(0.0f);
+  const float ut = light_has_triangles(scene, light)
+                       ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), n, picks)
+                       : 0.0f;
+  if (!light_ray(scene, surface, bsdf, light, time, ut, u, (float)picks * pmf, use_mis, out)) return false;
+  out->value *= 1.0f / pmf;
+  return true;
 }
