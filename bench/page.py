@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,19 @@ plt.rcParams |= {"svg.fonttype": "none", "svg.hashsalt": "penumbra"}
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 FOLDER = DOCS / "performance"
 NOTES = Path(__file__).with_name("notes.md")
+LARGE = Path(__file__).with_name("results") / "large.json"
 Row = Iterable[object]
+STARTS = (
+    ("render", "`penumbra render` with cached programs, from its start to its end, files written", 0.6),
+    ("render_cold", "the same with empty caches", 2.5),
+    ("serve_answer", "`penumbra serve`, from its start to its first answer", 1.2),
+    ("serve_picture", "from its start to the first thumbnail of a job that is sent at once", 1.2),
+    ("post_thumbnail", "a warm service, from the POST to the first thumbnail", 0.15),
+)
+"""Results of bench/latency.py, what they are, and the seconds that they are to stay below."""
+NOT_YET = "Not measured yet."
+MEMORY_GOAL = 250
+"""Megabytes above the loaded runtime, for a million triangles."""
 LABELS = {
     "penumbra": "Penumbra, 8 replicates",
     "penumbra_1": "Penumbra, 1 replicate",
@@ -175,6 +188,46 @@ def trees_text(scaling: dict[str, Any]) -> str:
     return table(("triangles", "seconds to build", "seconds to find", "bytes a triangle"), rows)
 
 
+def starts_text(start: dict[str, float] | None) -> str:
+    if start is None:
+        return NOT_YET
+    rows = [
+        (words, f"{start[name]:.2f}", f"{goal:g}", f"{start[name] / goal:.2f}")
+        for name, words, goal in STARTS
+    ]
+    return table(("from ... to", "seconds", "at most", "share"), rows)
+
+
+def memory_text(found: dict[str, Any] | None) -> str:
+    """Two rows: with the tree built, and with it found."""
+    if found is None:
+        return NOT_YET
+    rows = []
+    for name in ("built", "found"):
+        one = found[name]
+        holder, builder = (one[who] - one["runtime"] if one[who] else 0.0 for who in ("holder", "builder"))
+        grown = one["after_1024_samples"] - one["after_64_samples"]
+        cells = (holder, builder) if builder else (holder, None)
+        more = ("-" if cell is None else f"{cell:.0f}" for cell in cells)
+        rows.append(
+            (f"{found['triangles']:,}", name, f"{one['runtime']:.0f}", *more, f"{grown:.1f}",
+             number(one["bytes_a_triangle"]), number(one["seconds"]))
+        )  # fmt: skip
+    head = ("triangles", "tree", "runtime", "holder", "builder", "64 to 1,024 samples", "bytes a triangle")
+    return table((*head, "seconds"), rows)
+
+
+def large_text() -> str:
+    """The largest mesh, whenever it was measured last."""
+    if not LARGE.exists():
+        return ""
+    found = json.loads(LARGE.read_text())
+    when = f"{found['date']}, {found['machine']['processor']}, {found['machine']['cores']} cores"
+    return (
+        f"\nTen million triangles, by `make bench ARGS=--full` ({when}):\n\n{memory_text(found['memory'])}\n"
+    )
+
+
 def cores_text(results: dict[str, Any]) -> str:
     rows = []
     for name, scene in results["all_cores"].items():
@@ -199,7 +252,6 @@ def write_page(results: dict[str, Any]) -> None:
     left_out = sorted(
         {reason for scene in results["paths"].values() for reason in scene.get("left_out", {}).values()}
     )
-    start = results["scaling"]["start"]
     text = f"""# Performance
 
 Written by `make bench` (`bench/run.py`); do not edit. The numbers are in `bench/results`, what they are made of in `bench/`.
@@ -250,15 +302,23 @@ records on the device.
 
 ## Start
 
-From a process' start to its first picture of one sample of the Cornell box (128 x 128), without the service:
-{start["empty_caches"]:.2f} s with empty caches, {start["warm_caches"]:.2f} s with warm ones.
+Whole processes on all cores, a scene of a plane, a sphere and a lamp, 256 x 256 pixels; medians (`bench/latency.py`).
 
+{starts_text(results.get("start"))}
+
+## Memory
+
+Megabytes at the peak (`bench/memory.py`): of a process that has loaded and traced a small scene, as a device's process has, and
+what a mesh adds to that in it; and, above the same, the peak of the process that builds the tree, which goes some seconds after
+(its numba and LLVM are 135 of them). At most {MEMORY_GOAL} for a million triangles in either. Bytes: all on the device.
+Seconds: of all cores, from the decoded mesh to its first samples, the builder's start and numba's loading in them.
+
+{memory_text(results.get("memory"))}
+{large_text()}
 {NOTES.read_text().strip()}
 """
     (DOCS / "performance.md").write_text(text)
 
 
 if __name__ == "__main__":
-    import json
-
     write_page(json.loads((Path(__file__).parent / "results" / "quick.json").read_text()))

@@ -4,8 +4,10 @@
 
 Sections run one after the other, each in processes of their own, pinned to one core (CPU seconds) or to all (seconds).
 Results go to bench/results/quick.json (or full.json), the change against what stood there is printed, and docs/performance.md
-is written from it with its plots. The quick run takes about five minutes on two cores. A peer that is not installed is named
-and left out; `pip install -e '.[bench]'` installs them, and Mitsuba's llvm variant wants Debian's libllvm19.
+is written from it with its plots. What --full adds, a mesh of ten million triangles, stays in bench/results/large.json with its
+machine and date until it is measured again, and on the page. The quick run takes about four minutes on two cores. A peer that
+is not installed is named and left out; `pip install -e '.[bench]'` installs them, and Mitsuba's llvm variant wants Debian's
+libllvm19.
 """
 
 from __future__ import annotations
@@ -18,22 +20,32 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from penumbra_kernels import pocl_cache
+
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
+WITH_PEERS = ("rays", "paths", "all_cores", "samplers")
+"""Sections whose numbers are partly theirs."""
 PEERS = ("embreex", "mitsuba")
 SCENES = ("cornell", "horizon", "gloss", "lens", "glass", "lights", "mesh", "motion")
 SAMPLERS = ("sobol", "blue_noise", "jittered", "stratified", "independent")
+LARGE = "10000000"
+"""Triangles."""
 WORTH_TELLING = 0.05
 """Changes below this share are noise on most machines."""
 
 
 def child(cores: list[int], script: str, *arguments: str) -> Any:
     """What a script of this folder prints as JSON, run on these cores alone."""
-    environment = os.environ | {"POCL_MAX_PTHREAD_COUNT": str(len(cores)), "OMP_NUM_THREADS": str(len(cores))}
+    environment = pocl_cache.own_environment() | {
+        "POCL_MAX_PTHREAD_COUNT": str(len(cores)),
+        "OMP_NUM_THREADS": str(len(cores)),
+    }
     done = subprocess.run(
         [sys.executable, "-W", "ignore", str(HERE / script), *arguments],
         env=environment, preexec_fn=lambda: os.sched_setaffinity(0, cores), capture_output=True, text=True, check=False,
@@ -59,7 +71,22 @@ def sections(full: bool, one: list[int], every: list[int]) -> dict[str, Any]:
             "mitsuba_llvm/multijitter", "mitsuba_llvm/independent",
         ),
         "scaling": lambda: child(one, "scaling.py", "--largest", "10000000" if full else "1000000"),
+        "start": lambda: child(every, "latency.py", "--runs", "9" if full else "5"),
+        "memory": lambda: child(every, "memory.py"),
     }  # fmt: skip
+
+
+def measure_large(cores: list[int]) -> None:
+    """What is too long for every run: kept for itself."""
+    file = RESULTS / "large.json"
+    before = json.loads(file.read_text()) if file.exists() else {}
+    found = {
+        "machine": machine(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "memory": child(cores, "memory.py", "--triangles", LARGE),
+    }
+    file.write_text(json.dumps(found, indent=1) + "\n")
+    print_changes(before, found)
 
 
 def machine() -> dict[str, Any]:
@@ -125,7 +152,7 @@ def main() -> None:
     parser.add_argument("--full", action="store_true", help="more samples, ten million triangles")
     parser.add_argument("--quick", action="store_true", help="the default")
     parser.add_argument(
-        "--only", nargs="+", default=None, help="just these sections; the others stay as they were"
+        "--only", nargs="+", default=None, help="just these sections (or large); the others stay as they were"
     )
     parser.add_argument("--no-page", action="store_true", help="leave docs/performance.md alone")
     options = parser.parse_args()
@@ -134,6 +161,8 @@ def main() -> None:
     file = RESULTS / ("full.json" if options.full else "quick.json")
     before = json.loads(file.read_text()) if file.exists() else {}
     results: dict[str, Any] = {"machine": machine()}
+    if options.only and not set(options.only) & set(WITH_PEERS) and before:
+        results["machine"]["peers"] = before["machine"]["peers"]  # their numbers stay as well
     for name, measure in chosen.items():
         if options.only and name not in options.only:
             results |= {name: before[name]} if name in before else {}
@@ -147,6 +176,8 @@ def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     file.write_text(json.dumps(results, indent=1) + "\n")
     print_changes(before, results)
+    if "large" in (options.only or ()) or (options.full and not options.only):
+        measure_large(every)
     if not options.no_page:
         from page import write_page
 

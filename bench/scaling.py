@@ -1,4 +1,4 @@
-"""How time grows with samples, triangles, lights and cores, how long trees take, and how long a start takes.
+"""How time grows with samples, triangles, lights and cores, and how long trees take.
 
     python bench/scaling.py [--largest 1000000]
 
@@ -10,10 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
-import sys
 import tempfile
-import time
 from typing import Any
 
 import numpy as np
@@ -31,17 +28,6 @@ from penumbra_scene.scene import Scene
 from scenes import SIZE, HeldMeshes, cornell, lights, mesh
 
 REPLICATES = 8
-START = """
-import sys
-from penumbra_kernels.compile.scene import compile_scene
-from penumbra_kernels.device import Device
-from penumbra_kernels.nodes import Tile
-from penumbra_kernels.tracer import SamplePlan, Tracer
-from penumbra_kernels.assets import NoAssets
-from penumbra_scene.scene import Scene
-scene = Scene.model_validate_json(sys.stdin.read())
-Tracer(Device(), compile_scene(scene, NoAssets()), SamplePlan(1, 1)).trace(Tile(0, 0, 128, 128), 0, 1)
-"""
 
 
 def seconds_a_sample(data: dict[str, Any], held: HeldMeshes, samples: int = 16) -> float:
@@ -106,19 +92,6 @@ def trees(largest: int) -> dict[str, Any]:
     return result
 
 
-def starts() -> dict[str, float]:
-    """Seconds from a process' start to its first picture of one sample, with empty caches and with full ones."""
-    scene = json.dumps(cornell(HeldMeshes()))
-    result = {}
-    with tempfile.TemporaryDirectory() as folder:
-        environment = os.environ | {"PENUMBRA_CACHE": folder}
-        for name in ("empty_caches", "warm_caches"):
-            started = time.perf_counter()
-            subprocess.run([sys.executable, "-c", START], input=scene, text=True, env=environment, check=True)
-            result[name] = time.perf_counter() - started
-    return result
-
-
 def rounded(value: Any) -> Any:
     """Three digits."""
     if isinstance(value, dict):
@@ -140,7 +113,6 @@ def main() -> None:
             "samples": over_samples(),
             "triangles": over_triangles(min(options.largest, 1_000_000)),
             "lights": over_lights(),
-            "start": starts(),
         }
     print(json.dumps(rounded(found)))
 
