@@ -21,7 +21,9 @@ from penumbra_kernels.hardcases.benches.geometry import (
     Meshes,
     Probe,
     compiled,
+    compiled_mesh,
     directions,
+    random_rays,
     rays,
     unit,
 )
@@ -47,8 +49,7 @@ def _at_a_diagonal(bench: Workbench, center: Any, half: float) -> tuple[float, f
     rng = np.random.default_rng(1)
     n = bench.count(200_000, 1_000_000)
     c = np.asarray(center)
-    held = Meshes()
-    geometry = compiled([held.add(*meshes.quad(center, half))], held)
+    geometry = compiled_mesh(*meshes.quad(center, half))
     s = rng.uniform(-0.99, 0.99, n) * half
     targets = c + np.stack([s, s, 0 * s], 1)
     origins = rounded(c + np.array([0, 0, 10 * half]) + rng.uniform(-half, half, (n, 3)))
@@ -125,8 +126,7 @@ def shared_vertex(bench: Workbench) -> Iterator[Measure]:
     unscaled, faces = meshes.sphere(16)
     for scale in (1e-6, 1.0, 1e4):
         vertices = rounded(unscaled * scale)
-        held = Meshes()
-        geometry = compiled([held.add(vertices, faces)], held)
+        geometry = compiled_mesh(vertices, faces)
         face = faces[rng.integers(0, len(faces), n)]
         for target, along in (("vertices", np.zeros((n, 1))), ("edges", rng.random((n, 1)))):
             targets = vertices[face[:, 0]] * (1 - along) + vertices[face[:, 1]] * along
@@ -199,11 +199,6 @@ def _on_a_planet(bench: Workbench, up: NDArray[np.float64], where: str) -> Itera
     yield at_most(f"ground in its own shadow, {where}", np.mean(shadowed != 0), 0)
 
 
-def _random_rays(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
-    origins = directions(rng, n) * 3
-    return rays(origins, rng.uniform(-1, 1, (n, 3)) - origins)
-
-
 @hard_case(
     11,
     "needle",
@@ -221,7 +216,7 @@ def needle(bench: Workbench) -> Iterator[Measure]:
     good = compiled([clean.add(np.concatenate([vertices, thin]), [*faces, [600, 601, 602]])], clean)
     bad_faces = [*faces, [600, 601, 602], [603, 604, 605], [0, 0, 1], [5, 5, 5]]
     bad = compiled([dirty.add(np.concatenate([vertices, thin, flat]), bad_faces)], dirty)
-    aimed = _random_rays(rng, n)
+    aimed = random_rays(rng, n)
     aimed[::10, 3:6] = np.float32(thin[0] + rng.random((n // 10, 1)) * (thin[1] - thin[0])) - aimed[::10, :3]
     probe = bench.get(Probe)
     a, b = probe.trace(good, aimed), probe.trace(bad, aimed)
@@ -264,21 +259,19 @@ def coincident_faces(bench: Workbench) -> Iterator[Measure]:
     corners = np.array([[-1, -1, 0.3], [1, -1, 0.1], [0, 1, 0.2]])
     alike = np.tile([0, 1, 2], (10_000, 1))
     turned = np.array([np.roll(f, i % 3) for i, f in enumerate(alike)])
-    aimed = _random_rays(rng, bench.count(4000, 40_000))
+    aimed = random_rays(rng, bench.count(4000, 40_000))
     for name, (vertices, faces) in {
         "10,000 faces in one place": (corners, turned),
         "3,000 scattered faces": meshes.soup(rng, 3000),
     }.items():
-        held = Meshes()
-        geometry = compiled([held.add(vertices, faces)], held)
+        geometry = compiled_mesh(vertices, faces)
         before = probe.trace(geometry, aimed)
         changed = 0
         for _ in range(3):
             permute_storage(rng, geometry)
             changed += int(np.count_nonzero(probe.trace(geometry, aimed) != before))
         yield at_most(f"hits changed, {name}", changed, 0)
-    held = Meshes()
-    answers = probe.trace(compiled([held.add(corners, alike)], held), aimed)
+    answers = probe.trace(compiled_mesh(corners, alike), aimed)
     met = answers[answers["kind"] == TRIANGLE]
     yield enough("rays that met the first of 10,000", len(met), len(aimed) // 20)
     yield at_most("rays that met another", np.count_nonzero(met["primitive"] != 0), 0)
@@ -296,12 +289,11 @@ def axis_parallel(bench: Workbench) -> Iterator[Measure]:
     n = bench.count(60_000, 600_000)
     probe = bench.get(Probe)
     vertices, faces = meshes.grid(8)
-    held = Meshes()
     k = rng.integers(0, 9, (n // 3, 2)) / 4.0 - 1.0
     origins = np.concatenate([k, np.full((len(k), 1), 1.0)], 1)
     zeros = np.where(rng.random((len(k), 2)) < 0.5, -0.0, 0.0)
     straight = rays(origins, np.concatenate([zeros, np.full((len(k), 1), -1.0)], 1))
-    answers = probe.trace(compiled([held.add(vertices, faces)], held), straight)
+    answers = probe.trace(compiled_mesh(vertices, faces), straight)
     touching = np.full((9, 9), len(faces))
     for number, face in enumerate(faces):
         for vertex in face:
@@ -311,8 +303,7 @@ def axis_parallel(bench: Workbench) -> Iterator[Measure]:
     wrong = (answers["t"] != 1.0) | (answers["primitive"] != touching[index[:, 0], index[:, 1]])
     yield at_most("hits unlike brute force's", np.mean(wrong), 0)
     vertices, faces = meshes.grid(32)
-    held = Meshes()
-    geometry = compiled([held.add(vertices + 0.1, faces)], held)
+    geometry = compiled_mesh(vertices + 0.1, faces)
     for distance in (1e-3, 3.0, 1e3):
         answers = probe.trace(geometry, _at_grid_lines(rng, n, distance))
         yield at_most(f"rays through the edges from {distance:g}", np.mean(answers["kind"] == NONE), 0)
@@ -347,7 +338,7 @@ def nan_and_infinity(bench: Workbench) -> Iterator[Measure]:
     held = Meshes()
     shapes = [held.add(*meshes.soup(rng, 2000)), {"type": "sphere"}, {"type": "disc"}]
     geometry = compiled([*shapes, {"type": "plane", "point": [0, -3, 0]}], held)
-    good = _random_rays(rng, n)
+    good = random_rays(rng, n)
     bad = good.copy()
     bad[np.arange(n), rng.integers(0, 6, n)] = rng.choice([np.nan, np.inf, -np.inf], n)
     bad[::100, 3:6] = 0.0
@@ -369,9 +360,8 @@ def nan_and_infinity(bench: Workbench) -> Iterator[Measure]:
 def _accepted_in_error() -> int:
     accepted = 0
     for value in (np.nan, np.inf, 1e30):
-        held = Meshes()
         try:
-            compiled([held.add([[0, 0, 0], [1, 0, 0], [0, value, 0]], [[0, 1, 2]])], held)
+            compiled_mesh([[0, 0, 0], [1, 0, 0], [0, value, 0]], [[0, 1, 2]])
             accepted += 1
         except AssetError:
             pass

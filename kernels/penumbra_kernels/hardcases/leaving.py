@@ -13,9 +13,9 @@ from penumbra_kernels.hardcases.benches.geometry import (
     NONE,
     SPHERE,
     TRIANGLE,
-    Meshes,
     Probe,
     compiled,
+    compiled_mesh,
     directions,
     rays,
     unit,
@@ -58,8 +58,7 @@ def _triangle_again(bench: Workbench, size: float, offset: float, side: float, n
     total = [0, 0]
     for _ in range(4):
         corners = rng.normal(size=(3, 3)) * size + offset * directions(rng, 1)
-        held = Meshes()
-        geometry = compiled([held.add(corners, [[0, 1, 2]])], held)
+        geometry = compiled_mesh(corners, [[0, 1, 2]])
         targets = rng.dirichlet((1, 1, 1), n // 4) @ geometry.arrays["positions"].astype(np.float64)
         origins = targets + directions(rng, len(targets)) * size * 3
         for k, count in enumerate(_met_again(bench, geometry, rays(origins, targets - origins), side, rng)):
@@ -88,9 +87,8 @@ def _needle_again(bench: Workbench, thin: float, offset: float, n: int) -> tuple
     for _ in range(3):
         along, across = directions(rng, 2)
         start = rng.normal(size=3) + offset * directions(rng, 1)[0]
-        held = Meshes()
         corners = np.array([start, start + along, start + 0.4 * along + thin * across])
-        geometry = compiled([held.add(corners, [[0, 1, 2]])], held)
+        geometry = compiled_mesh(corners, [[0, 1, 2]])
         targets = rng.dirichlet((1, 1, 1), n) @ geometry.arrays["positions"].astype(np.float64)
         origins = targets + directions(rng, len(targets)) * 2
         answers = probe.trace(geometry, rays(origins, targets - origins), 1.0)
@@ -140,8 +138,7 @@ def _box_leaks(bench: Workbench, size: float, offset: float, far: float, n: int)
     rng = np.random.default_rng(9)
     unscaled, faces = meshes.box()
     corners = unscaled * size + offset
-    held = Meshes()
-    geometry = compiled([held.add(corners + far, faces)], held, anchor=(far, far, far))
+    geometry = compiled_mesh(corners + far, faces, (far, far, far))
     start = (rng.uniform(0.2, 0.8, (n, 3)) * size + offset).astype(np.float32)
     d = directions(rng, n)
     inside = 0.5 * (corners[0] + corners[-1])
@@ -191,8 +188,7 @@ def tiny_object(bench: Workbench) -> Iterator[Measure]:
     seen = {}
     for size in (1.0, 1e-6, 1e4):
         yield at_most(f"leaks, size {size:g}", _box_leaks(bench, size, 0.0, 0.0, n), 0)
-        held = Meshes()
-        geometry = compiled([held.add(unscaled * size, faces)], held)
+        geometry = compiled_mesh(unscaled * size, faces)
         seen[size] = bench.get(Probe).trace(geometry, rays(origins * size, d))["t"].astype(np.float64) / size
     for size in (1e-6, 1e4):
         yield at_most(

@@ -106,6 +106,12 @@ def compiled(
     return compile_geometry(model, assets or NoAssets(), time, np.asarray(anchor, np.float64), {})
 
 
+def compiled_mesh(vertices: Any, faces: Any, anchor: Any = (0, 0, 0)) -> CompiledGeometry:
+    """Geometry of a single mesh."""
+    held = Meshes()
+    return compiled([held.add(vertices, faces)], held, anchor)
+
+
 def rays(origins: Any, directions: Any, tmax: float = np.inf, time: Any = 0.0) -> NDArray[np.float32]:
     """(n, 8) rays."""
     origins, directions = np.broadcast_arrays(
@@ -123,3 +129,9 @@ def unit(v: Any) -> NDArray[np.float64]:
 
 def directions(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
     return unit(rng.normal(size=(n, 3)))
+
+
+def random_rays(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
+    """From three metres away to points of the cube [-1, 1]^3."""
+    origins = directions(rng, n) * 3
+    return rays(origins, rng.uniform(-1, 1, (n, 3)) - origins)
