@@ -80,8 +80,8 @@ def _ratio(numerator: Array, denominator: Array) -> tuple[float, float]:
     return ratio, float(np.sqrt(spread / count)) / whole
 
 
-def _half_square(a: Array, b: Array) -> Array:
-    """(blocks,) means of (a - b)^2 / 2 over all but the first axis."""
+def half_square(a: Array, b: Array) -> Array:
+    """Of values (blocks, ...): (blocks,) means of (a - b)^2 / 2 over all but the first axis."""
     return np.asarray((0.5 * (a - b) ** 2).reshape(len(a), -1).mean(axis=1))
 
 
@@ -90,14 +90,14 @@ def shares(first: Array, second: Array, mixed: Mapping[str, Array]) -> tuple[Sha
 
     Blocks are independent of each other: errors come from their spread. The rows' shares add up to 1 where there is noise.
     """
-    whole = _half_square(first, second)
+    whole = half_square(first, second)
     rows = []
     left = whole.copy()
     for group, values in mixed.items():
-        alone = whole - _half_square(second, values)
+        alone = whole - half_square(second, values)
         left -= alone
         share, error = _ratio(alone, whole)
-        together, _ = _ratio(_half_square(first, values), whole)
+        together, _ = _ratio(half_square(first, values), whole)
         rows.append(Share(group, share, error, together))
     share, error = _ratio(left, whole)
     return (*rows, Share(INTERACTIONS, share, error, None))
@@ -105,7 +105,7 @@ def shares(first: Array, second: Array, mixed: Mapping[str, Array]) -> tuple[Sha
 
 def variance_of(first: Array, second: Array) -> tuple[float, float]:
     """The whole, V, and its standard error, from the same values as `shares`."""
-    whole = _half_square(first, second)
+    whole = half_square(first, second)
     return float(whole.mean()), float(whole.std(ddof=1) / np.sqrt(len(whole))) if len(whole) > 1 else 0.0
 
 
