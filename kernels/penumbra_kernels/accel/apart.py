@@ -12,10 +12,12 @@ import argparse
 import contextlib
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Final
 
@@ -33,6 +35,7 @@ INPUTS: Final = ("lo", "hi", "key", "word")
 _TREE: Final = "tree"
 _COPIES: Final = "copies"
 _DONE: Final = b"done\n"
+_PREFIX: Final = "tree-"
 
 
 class TreeBuilder:
@@ -56,8 +59,10 @@ class TreeBuilder:
             self._end()
 
     def _elsewhere(self, items: Items, copies: NDArray[np.int64]) -> Tree:
-        disk.folder().mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix="tree-", dir=disk.folder()) as name:
+        root = disk.folder()
+        root.mkdir(parents=True, exist_ok=True)
+        _sweep(root)
+        with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=root) as name:
             folder = Path(name)
             for part in INPUTS:
                 np.save(folder / f"{part}.npy", getattr(items, part))
@@ -92,6 +97,14 @@ class TreeBuilder:
         assert self._process is not None
         self._process.communicate()
         self._process = None
+
+
+def _sweep(root: Path) -> None:
+    """Remove what processes that were killed have left."""
+    for folder in root.glob(f"{_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime > disk.ABANDONED_SECONDS:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def build_in(folder: Path) -> None:

@@ -3,6 +3,7 @@ mesh takes on its way to the device, in bytes that numpy asks for."""
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -67,6 +68,16 @@ def test_one_that_has_ended_is_started_again(builder: TreeBuilder) -> None:
     before.wait()
     assert same(builder(items(2), ONCE), build_tree(items(2), ONCE))
     assert builder._process is not before
+
+
+def test_what_killed_processes_have_left_is_removed_once_it_is_old(
+    builder: TreeBuilder, own_cache: Path
+) -> None:
+    for name, age in (("tree-old", 7200), ("tree-new", 60), ("programs", 7200)):
+        (own_cache / name).mkdir()
+        os.utime(own_cache / name, (time.time() - age,) * 2)
+    builder(items(), ONCE)
+    assert sorted(path.name for path in own_cache.iterdir()) == ["programs", "tree-new"]
 
 
 def test_one_that_cannot_work_costs_nothing_but_time() -> None:
