@@ -7,9 +7,10 @@ import threading
 from dataclasses import replace
 
 import pytest
-from penumbra_scene.job import JobState
+from penumbra_scene.job import JobRequest, JobState
 from penumbra_service.engine.runner import Halt, JobRunner
 from penumbra_service.film.tilefile import FolderTileStore
+from penumbra_service.quoting import make_quote
 from penumbra_service.store.contents import ContentStore
 
 
@@ -24,6 +25,21 @@ def test_a_killed_scheduler_costs_the_leases_in_flight(farm, make_task, picture,
     assert picture(result) == undisturbed
     assert 1 <= result.record.redone_leases <= 4
     assert result.record.crashes == 0
+
+
+def test_a_quote_of_a_farm_is_that_of_its_workers(farm, make_task, tmp_path, monkeypatch):  # type: ignore[no-untyped-def]
+    """The pilot's blocks go to all of them; what it foretells is what a job on them takes."""
+    monkeypatch.setattr("penumbra_service.engine.pilot.PILOT_SECONDS", 1e4)  # however busy the machine is
+    farm.wait_for("one", "two")
+    task = make_task("steady", stop={"relative_error": 0.04})
+    quote = make_quote(farm.engine, JobRequest(scene=task.scene), tmp_path / "quote", tmp_path / "assets")
+    assert {device.id for device in quote.devices} == {"fake:0@one", "fake:0@two"}
+    result = farm.run(task)
+    real = result.record.points[-1].samples
+    assert quote.end.reason == "relative_error"
+    assert real / 1.5 < quote.end.samples < 1.5 * real
+    assert quote.end.samples_interval.low <= real <= quote.end.samples_interval.high
+    assert quote.seconds_per_sample > 0
 
 
 def test_a_store_that_cannot_be_written_fails_the_job_with_words(farm, make_task, monkeypatch):  # type: ignore[no-untyped-def]

@@ -4,6 +4,8 @@ for."""
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -96,6 +98,42 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, mon
     assert resumed.end == whole.end
     assert resumed.record.ends == whole.record.ends
     assert picture(resumed) == picture(whole)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("moment", ["in the pilot", "in the picture"])
+def test_a_device_that_is_killed_costs_leases_and_no_bits(engine, tmp_path, monkeypatch, way, moment):  # type: ignore[no-untyped-def]
+    monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
+    monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 0.0)
+    sections = {"stop": {"samples": 512}}
+    whole = finished(engine, task_of(tmp_path / "a", way, **sections))
+    task = task_of(tmp_path / "b", way, **sections)
+    with LocalEngine([list_devices()[0].id]) as mortal:
+        killed: list[int] = []
+
+        def kill(state: JobState, progress: Any) -> None:
+            decided = (task.folder / "tiles" / NAME).exists()
+            if not killed and progress.seconds > 0 and decided == (moment == "in the picture"):
+                killed.append(device_process())
+                os.kill(killed[0], signal.SIGKILL)
+
+        def device_process() -> int:
+            """The newest process of a device below this one: that of `mortal`."""
+            tasks = Path(f"/proc/{os.getpid()}/task").iterdir()
+            below = [int(word) for task in tasks for word in (task / "children").read_text().split()]
+            driven = [
+                pid for pid in below if b"engine.device_process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+            ]
+            return max(driven)
+
+        result = JobRunner(mortal, task, on_progress=kill).run()
+    assert result.state is JobState.FINISHING, result.failure
+    assert killed
+    assert result.record.redone_leases >= 1
+    assert picture(result) == picture(whole)
+    assert result.record.ends[-1] == whole.record.ends[-1]
 
 
 @pytest.mark.parametrize("way", WAYS)
