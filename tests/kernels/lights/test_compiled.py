@@ -146,8 +146,11 @@ __kernel void aim_at(__global float *out, const __global float *p, const __globa
   __global float *o = out + 6 * i;
   for (int k = 0; k < 6; ++k) o[k] = 0.0f;
   const float3 from = load3(p + 3 * i);
+  Receiver receiver;
+  receiver.p = from;
+  receiver.n = (float3)(0.0f);
   LightSample sample;
-  if (!light_sample(&s, light, from, time, u[3 * i + 2], (float2)(u[3 * i], u[3 * i + 1]), &sample)) return;
+  if (!light_sample(&s, light, &receiver, time, u[3 * i + 2], (float2)(u[3 * i], u[3 * i + 1]), &sample)) return;
   Surface eye;
   eye.p = from; eye.p_error = (float3)(0.0f); eye.ng = sample.wi;
   o[0] = 1.0f;

@@ -176,6 +176,31 @@ def test_estimate_of_the_flux_is_unbiased(bench) -> None:
     assert values.std() < 2 * exact  # the density follows the image
 
 
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (0.48, -0.6, 0.64)])
+def test_constant_environment_follows_the_cosine_to_the_normal(bench, normal) -> None:
+    """The square of the cosine and the azimuth are uniform, and the density is the cosine over pi."""
+    scene = bench.scene([bench.light("environment", radiance=1)], environment_light=0)
+    count, bins = 400_000, 24
+    n = np.array(normal, np.float64)
+    x = np.cross(n, [0, 1, 0])
+    x /= np.linalg.norm(x)
+    s = bench.sample(scene, (5, 6, 7), bench.uniform(count, 9), n=n)
+    assert len(s.pdf) == count
+    wi = s.wi.astype(np.float64)
+    cosine = wi @ n
+    assert np.all(cosine > 0)
+    assert np.allclose(s.pdf, cosine / math.pi, rtol=0, atol=1e-6)
+    height = np.clip((cosine**2 * bins).astype(int), 0, bins - 1)
+    angle = np.arctan2(wi @ np.cross(n, x), wi @ x) / (2 * math.pi) + 0.5
+    turn = np.clip((angle * bins).astype(int), 0, bins - 1)
+    counts = np.bincount(height * bins + turn, minlength=bins * bins)
+    assert bench.chi2_pvalue(counts, np.full(bins * bins, count / bins**2)) > 1e-6
+    _, pdf = bench.sky(scene, s.wi, n)
+    assert np.allclose(pdf, s.pdf, rtol=0, atol=1e-6)
+    _, behind = bench.sky(scene, -s.wi[:100], n)
+    assert np.all(behind == 0)
+
+
 def test_constant_environment_is_uniform_over_the_sphere(bench) -> None:
     scene = bench.scene([bench.light("environment", radiance=(1, 2, 3))], environment_light=0)
     count, bins = 400_000, 24

@@ -64,6 +64,25 @@ def test_no_sample_of_a_narrow_lobe_at_the_last_hit_is_bright(
     assert paths.max() > 1.01  # both kinds of sample are there
 
 
+@pytest.mark.parametrize("bounces", [0, 1])
+def test_a_diffuse_floor_under_a_constant_sky_has_no_noise(render: Any, bounces: int) -> None:
+    """f times radiance over the density of a light sample is the albedo, whatever the sample, and so is a lobe's own ray."""
+    floor = {"type": "plane", "point": [0, -1, 0], "normal": [0, 1, 0], "material": "m"}
+    camera = {
+        "type": "perspective",
+        "fov": 40,
+        "transform": {"look_at": {"origin": [0, 3, 0], "target": [1, -1, 0]}},
+    }
+    scene = furnace(
+        {"type": "diffuse", "base_color": 0.7},
+        camera=camera,
+        shapes=[floor],
+        integrator={"max_bounces": bounces},
+    )
+    picture = render(scene, samples=64, replicates=64)
+    assert picture.node.sums["rgba"][..., :3] == pytest.approx(0.7, rel=1e-5)
+
+
 def test_an_empty_scene_shows_its_environment_exactly(render: Any) -> None:
     picture = render(furnace({"type": "diffuse"}, shapes=[]), samples=8)
     assert (picture.mean == 1).all()

@@ -23,11 +23,11 @@ typedef struct {
 
 // A sample of light `light`. `chance` is how many such samples this light expects per hit: picks times pmf. The value is not
 // yet divided by `chance`. use_mis: weigh against the lobe's own density. False where nothing comes that way.
-static inline bool light_ray(const SceneData *scene, const Surface *surface, const Bsdf *bsdf, const uint light,
-                             const float time, const float u_triangle, const float2 u, const float chance,
-                             const bool use_mis, LightRay *out) {
+static inline bool light_ray(const SceneData *scene, const Surface *surface, const Bsdf *bsdf, const Receiver *receiver,
+                             const uint light, const float time, const float u_triangle, const float2 u,
+                             const float chance, const bool use_mis, LightRay *out) {
   LightSample sample;
-  if (!light_sample(scene, light, surface->p, time, u_triangle, u, &sample)) return false;
+  if (!light_sample(scene, light, receiver, time, u_triangle, u, &sample)) return false;
   float lobe_pdf;
   const float3 f = bsdf_eval(bsdf, sample.wi, &lobe_pdf);
   const float3 value = f * sample.radiance;
@@ -60,7 +60,7 @@ static inline bool direct_ray(const SceneData *scene, const __global Params *par
     const float ut = light_has_triangles(scene, light)
                          ? sample_1d_of(sampler, DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks)
                          : 0.0f;
-    return light_ray(scene, surface, bsdf, light, time, ut, u, (float)picks, use_mis, out);
+    return light_ray(scene, surface, bsdf, receiver, light, time, ut, u, (float)picks, use_mis, out);
   }
   const float us =
       light_entries(scene) > 1u ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks) : 0.0f;
@@ -73,7 +73,7 @@ static inline bool direct_ray(const SceneData *scene, const __global Params *par
   const float ut = light_has_triangles(scene, light)
                        ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), n, picks)
                        : 0.0f;
-  if (!light_ray(scene, surface, bsdf, light, time, ut, u, (float)picks * pmf, use_mis, out)) return false;
+  if (!light_ray(scene, surface, bsdf, receiver, light, time, ut, u, (float)picks * pmf, use_mis, out)) return false;
   out->value *= 1.0f / pmf;
   return true;
 }

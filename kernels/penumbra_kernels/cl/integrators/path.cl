@@ -109,7 +109,7 @@ static inline bool path_meet(const SceneData *scene, const __global Params *para
   if (scene->environment_light != NONE) {
     const float3 wi = normalize3(path->ray.d);
     const float weight = path->delta ? 1.0f
-                                     : hit_weight(params, false, path->lobe_pdf, environment_pdf(scene, wi),
+                                     : hit_weight(params, false, path->lobe_pdf, environment_pdf(scene, path->from.n, wi),
                                                   light_chance(scene, params, &path->from, scene->environment_light));
     path->result.effects |= EFFECT_ENVIRONMENT;
     path->result.radiance += path->beta * environment_radiance(scene, wi) * weight;

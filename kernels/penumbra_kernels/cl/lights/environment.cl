@@ -1,6 +1,7 @@
 // The environment: light from infinitely far away, by direction. World frame, unit directions; W / (m^2 sr).
 //
-// Constant: sampled uniformly over the sphere. Image: latitude-longitude, looked up bilinearly, columns wrapping around; in
+// Constant: sampled by the cosine to the receiver's normal, as a diffuse surface sees it; uniformly over the sphere where light
+// counts from any side. Image: latitude-longitude, looked up bilinearly, columns wrapping around; in
 // its own frame +Y is the top row, -Z the centre column, u grows towards +X there. Sampled by row, then column, then
 // uniformly in (u, v) within the texel; a texel's probability is proportional to the mean of the bilinear image over it
 // times its solid angle, so that no direction with light has a density of zero (compile/environment.py builds it in float64).
@@ -80,10 +81,12 @@ static inline float environment_density(const SceneData *scene, const __global L
   return usable(pdf) ? pdf : 0.0f;
 }
 
-// Density per solid angle with which environment_sample finds the direction d.
-static inline float environment_pdf(const SceneData *scene, const float3 d) {
+static inline bool has_plane(const float3 n) { return n.x != 0.0f || n.y != 0.0f || n.z != 0.0f; }
+
+// Density per solid angle with which environment_sample finds the direction d for a receiver of normal n.
+static inline float environment_pdf(const SceneData *scene, const float3 n, const float3 d) {
   const __global Light *light = environment_of(scene);
-  if (!environment_is_image(light)) return UNIFORM_SPHERE_PDF;
+  if (!environment_is_image(light)) return has_plane(n) ? cosine_hemisphere_pdf(dot3(n, d)) : UNIFORM_SPHERE_PDF;
   float sin_theta;
   const float2 uv = environment_uv(environment_from_world(light, d), &sin_theta);
   const uint x = MIN((uint)(uv.x * (float)light->width), light->width - 1u);
@@ -118,15 +121,26 @@ static inline bool environment_image_sample(const SceneData *scene, const __glob
   return out->pdf > 0.0f;
 }
 
-static inline bool environment_sample(const SceneData *scene, const __global Light *light, const float2 u,
+// A direction of the constant environment, and its density.
+static inline float3 constant_sample(const float3 n, const float2 u, float *pdf) {
+  if (!has_plane(n)) {
+    *pdf = UNIFORM_SPHERE_PDF;
+    return square_to_sphere(u);
+  }
+  float3 s, t;
+  make_frame(n, &s, &t);
+  const float3 d = square_to_cosine_hemisphere(u, pdf);
+  return s * d.x + t * d.y + n * d.z;
+}
+
+static inline bool environment_sample(const SceneData *scene, const __global Light *light, const float3 n, const float2 u,
                                       LightSample *out) {
   out->distance = INF_F;
   out->p = (float3)(0.0f);
   out->p_error = (float3)(0.0f);
   out->n = (float3)(0.0f);
   if (environment_is_image(light)) return environment_image_sample(scene, light, u, out);
-  out->wi = square_to_sphere(u);
+  out->wi = constant_sample(n, u, &out->pdf);
   out->radiance = load3(light->radiance);
-  out->pdf = UNIFORM_SPHERE_PDF;
   return true;
 }

@@ -44,17 +44,20 @@ static inline bool light_has_extent(const SceneData *scene, const uint light) {
 #endif
 }
 
-// Samples a direction to a light. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing arrives:
+// Samples a direction to a light for a receiver. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing arrives:
 // behind the light, edge-on, at the light itself. *out is whole only where it returns true.
-static inline bool light_sample(const SceneData *scene, const uint light, const float3 p, const float time,
+static inline bool light_sample(const SceneData *scene, const uint light, const Receiver *receiver, const float time,
                                 const float u_triangle, const float2 u, LightSample *out) {
+#if PENUMBRA_AREA_LIGHTS || PENUMBRA_DELTA_LIGHTS
+  const float3 p = receiver->p;
+#endif
 #if PENUMBRA_AREA_LIGHTS || PENUMBRA_DELTA_LIGHTS || PENUMBRA_ENVIRONMENT
   const __global Light *record = scene->lights + light;
 #endif
 #if PENUMBRA_ENVIRONMENT
   if (record->type == LIGHT_ENVIRONMENT) {
     out->delta = false;
-    return environment_sample(scene, record, u, out);
+    return environment_sample(scene, record, receiver->n, u, out);
   }
 #endif
 #if PENUMBRA_DELTA_LIGHTS

@@ -54,13 +54,16 @@ static inline SceneData scene_of(ARGUMENTS) {
 }
 #define SCENE scene_of(lights, light_table, emitter_cdf, environment, instances, keyframes, shapes, \\
                        triangles, positions, light_nodes, light_tree, light_count, environment_light)
-__kernel void sample(__global float *out, const __global float *p, const __global float *u, const uint light,
-                     const float time, ARGUMENTS) {
+__kernel void sample(__global float *out, const __global float *p, const __global float *n, const __global float *u,
+                     const uint light, const float time, ARGUMENTS) {
   const size_t i = get_global_id(0);
   const SceneData scene = SCENE;
   LightSample s;
   const float2 u2 = (float2)(u[3 * i], u[3 * i + 1]);
-  const bool ok = light_sample(&scene, light, load3(p + 3 * i), time, u[3 * i + 2], u2, &s);
+  Receiver receiver;
+  receiver.p = load3(p + 3 * i);
+  receiver.n = load3(n + 3 * i);
+  const bool ok = light_sample(&scene, light, &receiver, time, u[3 * i + 2], u2, &s);
   __global float *o = out + 20 * i;
   for (int k = 0; k < 20; ++k) o[k] = 0.0f;
   if (!ok) return;
@@ -129,13 +132,13 @@ __kernel void tally(__global uint *out, const __global float *at, const __global
     row[pmf == told[light] ? light : entries]++;
   }
 }
-__kernel void sky(__global float *out, const __global float *d, ARGUMENTS) {
+__kernel void sky(__global float *out, const __global float *d, const __global float *n, ARGUMENTS) {
   const size_t i = get_global_id(0);
   const SceneData scene = SCENE;
   const float3 wi = load3(d + 3 * i);
   const float3 radiance = environment_radiance(&scene, wi);
   out[4 * i] = radiance.x; out[4 * i + 1] = radiance.y; out[4 * i + 2] = radiance.z;
-  out[4 * i + 3] = environment_pdf(&scene, wi);
+  out[4 * i + 3] = environment_pdf(&scene, load3(n + 3 * i), wi);
 }
 """.replace("ARGUMENTS", SCENE_ARGUMENTS)
 
@@ -223,14 +226,17 @@ class LightBench:
         self._kernels[kernel](self.device.queue, (count,), None, target, *buffers, *world, *counts)
         self.device.download(target, out)
 
-    def sample(self, scene: LightScene, p: Any, u: Array, index: int = 0, time: float = 0.0) -> Samples:
-        """Samples of a light at points p (n, 3) or one point, by the uniform numbers u (n, 2 or 3)."""
+    def sample(
+        self, scene: LightScene, p: Any, u: Array, index: int = 0, time: float = 0.0, n: Any = ORIGIN
+    ) -> Samples:
+        """Samples of a light at points p (n, 3) or one point, by the uniform numbers u (n, 2 or 3), for receivers of the
+        normals n (n, 3) or one; 0 where light from any side counts."""
         count = len(u)
-        points = rows(p, count)
+        points, normals = rows(p, count), rows(n, count)
         numbers = np.full((count, 3), 0.5, np.float32)
         numbers[:, : u.shape[1]] = u
         out = np.empty((count, 20), np.float32)
-        self._run("sample", out, count, scene, points, numbers, np.uint32(index), np.float32(time))
+        self._run("sample", out, count, scene, points, normals, numbers, np.uint32(index), np.float32(time))
         kept = np.flatnonzero(out[:, 11])
         o = out[kept]
         return Samples(
@@ -304,10 +310,10 @@ class LightBench:
         self._run("tally", out, items, scene, at, np.asarray(told, np.float32), np.uint32((1 << 24) // items))
         return np.asarray(out.sum(axis=0))
 
-    def sky(self, scene: LightScene, d: Array) -> tuple[Array, Array]:
-        """Radiance and density of the environment in directions d."""
+    def sky(self, scene: LightScene, d: Array, n: Any = ORIGIN) -> tuple[Array, Array]:
+        """Radiance of the environment in directions d, and its density for receivers of normal n."""
         out = np.empty((len(d), 4), np.float32)
-        self._run("sky", out, len(d), scene, np.asarray(d, np.float32))
+        self._run("sky", out, len(d), scene, np.asarray(d, np.float32), rows(n, len(d)))
         return out[:, :3], out[:, 3]
 
     @staticmethod
