@@ -13,7 +13,7 @@ ARGS ?=
 
 export VENV PYTHON
 
-.PHONY: help setup bench demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim faults soak farm
+.PHONY: help setup bench bench-peers peers demo test serve lint types contracts schema layout lock pictures lights compose-secrets clean distclean accuracy test-statistics farmsim faults soak farm
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -71,6 +71,18 @@ pictures: setup ## render every example into docs/pictures
 
 bench: setup ## measure against Embree and Mitsuba, and write docs/performance.md (ARGS=--full for longer)
 	@$(BIN)/python bench/run.py $(ARGS)
+
+peers: setup .venv-peers/.stamp ## make the environment of Cycles and LuxCore (PEERS_PYTHON=python3.11)
+
+# Blender as a module is for Python 3.11 and numpy 1: apart from everything of ours.
+PEERS_PYTHON ?= python3.11
+.venv-peers/.stamp: bench/peers/requirements.lock
+	@$(PEERS_PYTHON) -m venv --clear .venv-peers
+	@.venv-peers/bin/python -m pip --disable-pip-version-check install --quiet --require-hashes --requirement $<
+	@touch $@
+
+bench-peers: peers ## measure Cycles and LuxCore beside Penumbra: some minutes, whose results docs/performance.md keeps
+	@$(BIN)/python bench/run.py --only peers $(ARGS)
 
 lights: setup ## measure how lights are chosen, and write docs/lights.md
 	@$(BIN)/python bench/lights.py $(ARGS)

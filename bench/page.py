@@ -18,6 +18,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 FOLDER = DOCS / "performance"
 NOTES = Path(__file__).with_name("notes.md")
 LARGE = Path(__file__).with_name("results") / "large.json"
+PEERS = Path(__file__).with_name("results") / "peers.json"
 Row = Iterable[object]
 STARTS = (
     ("render", "`penumbra render` with cached programs, from its start to its end, files written", 0.6),
@@ -31,12 +32,14 @@ NOT_YET = "Not measured yet."
 MEMORY_GOAL = 250
 """Megabytes above the loaded runtime, for a million triangles."""
 LABELS = {
-    "penumbra": "Penumbra, 8 replicates",
+    "penumbra": "Penumbra, replicates",
     "penumbra_1": "Penumbra, 1 replicate",
     "mitsuba_scalar/independent": "Mitsuba scalar, independent",
     "mitsuba_scalar/multijitter": "Mitsuba scalar, multijitter",
     "mitsuba_llvm/independent": "Mitsuba llvm, independent",
     "mitsuba_llvm/multijitter": "Mitsuba llvm, multijitter",
+    "cycles": "Cycles",
+    "luxcore": "LuxCore",
 }
 COLORS = {
     "penumbra": "#0b6e99",
@@ -45,8 +48,15 @@ COLORS = {
     "mitsuba_scalar/multijitter": "#9c927a",
     "mitsuba_llvm/independent": "#f0b27a",
     "mitsuba_llvm/multijitter": "#c0561a",
+    "cycles": "#4f7f3a",
+    "luxcore": "#a9c48f",
 }
-BEST = "mitsuba_llvm/multijitter"
+OURS = "penumbra_1"
+LLVM = "mitsuba_llvm/multijitter"
+IN_PATHS = ("penumbra", OURS, "mitsuba_scalar/multijitter", LLVM, "cycles", "luxcore")
+KEPT = ("cycles", "luxcore")
+"""Measured by a run of their own, beside Penumbra: ratios are of that run."""
+SAMPLES = 64
 
 
 def number(value: float | None) -> str:
@@ -145,39 +155,78 @@ def rays_text(rays: dict[str, Any]) -> str:
     return text
 
 
-def paths_text(paths: dict[str, Any]) -> str:
+def paths_text(paths: dict[str, Any], kept: dict[str, Any]) -> str:
     rates, seconds = [], []
     for name, scene in paths.items():
-        which = [scene.get(key) for key in ("penumbra", "penumbra_1", "mitsuba_scalar/multijitter", BEST)]
-        rates.append(
-            (name, *(number(x and x["mpaths_per_second"]) for x in which), _ratio(which, "mpaths_per_second"))
-        )
-        for target in ("0.01", "0.001"):
-            key = f"seconds_to_{target}"
-            inverse = _ratio(which, key)
-            seconds.append((name, target, *(number(x and x[key]) for x in which), inverse))
-    head = ("Penumbra", "Penumbra, 1 replicate", "Mitsuba scalar, multijitter", "Mitsuba llvm, multijitter")
+        beside = kept.get(name, {})
+        rates.append((name, *_row(scene, beside, "mpaths_per_second")))
+        seconds += [(name, t, *_row(scene, beside, f"seconds_to_{t}")) for t in ("0.01", "0.001")]
+    head = (*(LABELS[which] for which in IN_PATHS), "1 replicate to llvm", "to the best peer")
     return (
         "Million camera paths a second:\n\n"
-        + table(("scene", *head, "1 replicate to llvm"), rates)
+        + table(("scene", *head), rates)
         + "\n\nSeconds to a relMSE:\n\n"
-        + table(("scene", "relMSE", *head, "1 replicate to llvm"), seconds)
+        + table(("scene", "relMSE", *head), seconds)
     )
 
 
-def _ratio(which: list[Any], key: str) -> str:
-    ours, best = which[1], which[3]
-    return number(ours[key] / best[key]) if ours and best else "-"
+def _row(scene: dict[str, Any], beside: dict[str, Any], key: str) -> Row:
+    """Every renderer's number, and the ratios of one replicate's to llvm's and to the best peer's of its own run."""
+    numbers = {which: (beside if which in KEPT else scene).get(which, {}).get(key) for which in IN_PATHS}
+    ratios = {
+        which: (beside if which in KEPT else scene)[OURS][key] / numbers[which]
+        for which in IN_PATHS[2:]
+        if numbers[which]
+    }
+    best = (min if key == "mpaths_per_second" else max)(ratios, key=lambda which: ratios[which], default=None)
+    told = "-" if best is None else f"{number(ratios[best])} ({LABELS[best].partition(',')[0]})"
+    return (*(number(x) for x in numbers.values()), number(ratios.get(LLVM)), told)
 
 
-def samplers_text(samplers: dict[str, Any]) -> str:
-    names = list(next(iter(samplers.values())))
+def kept_text(peers: dict[str, Any] | None) -> str:
+    """When and where Cycles and LuxCore were measured, and how far their pictures are ours."""
+    if peers is None:
+        return "Cycles and LuxCore are not measured yet: `make bench-peers`."
+    machine = peers["machine"]
+    found = ", ".join(f"{LABELS[name]} {version}" for name, version in peers["peers"].items())
+    rows = []
+    for name, scene in peers["paths"].items():
+        cells = [scene.get(which, {}) for which in KEPT]
+        rows.append((name, *(c.get(k, "-") for c in cells for k in ("mean_ratio", "rms_z"))))
+    head = [f"{LABELS[which]}, {what}" for which in KEPT for what in ("mean", "rms z")]
+    reasons = sorted(
+        {reason for scene in peers["paths"].values() for reason in scene.get("left_out", {}).values()}
+    )
+    return f"""{found}: columns kept from `make bench-peers` of {peers["date"]} ({_processor(machine)}),
+which ran Penumbra beside them; ratios are of that run. One thread; the start of a process and what a scene costs whatever
+its samples are left out of the times. Not measured: {"; ".join(reasons)}.
+
+The same pictures? Image means over Penumbra's, and the rms difference of 8 x 8 blocks over what noise
+explains, 1 where both agree:
+
+{table(("scene", *head), rows)}"""
+
+
+def _processor(machine: dict[str, Any]) -> str:
+    return f"{machine['processor']}, {machine['cores']} cores"
+
+
+def samplers_text(samplers: dict[str, Any], paths: dict[str, Any]) -> str:
+    """The section's own, and what stands in `paths` already."""
+    merged = {
+        scene: {"penumbra_1/sobol": paths[scene].get(OURS), LLVM: paths[scene].get(LLVM)} | measured
+        for scene, measured in samplers.items()
+    }
+    names = [n for n in next(iter(merged.values())) if n != "left_out"]
     rows = [
-        (f"`{name}`", *(number(scene[name]["points"][-1]["relmse"]) for scene in samplers.values()))
-        for name in names
-        if name != "left_out" and all(name in scene for scene in samplers.values())
+        (f"`{n}`", *(number(_error_at(scene.get(n), SAMPLES)) for scene in merged.values())) for n in names
     ]
     return table(("sampler", *samplers), rows)
+
+
+def _error_at(measured: dict[str, Any] | None, samples: int) -> float | None:
+    points = measured["points"] if measured else []
+    return next((p["relmse"] for p in points if p["samples"] == samples), None)
 
 
 def trees_text(scaling: dict[str, Any]) -> str:
@@ -231,7 +280,7 @@ def large_text() -> str:
 def cores_text(results: dict[str, Any]) -> str:
     rows = []
     for name, scene in results["all_cores"].items():
-        for which in ("penumbra", BEST):
+        for which in ("penumbra", LLVM):
             if which in scene and which in results["paths"][name]:
                 one, every = (x[which]["mpaths_per_second"] for x in (results["paths"][name], scene))
                 rows.append((name, LABELS[which], number(one), number(every), number(every / one)))
@@ -239,7 +288,8 @@ def cores_text(results: dict[str, Any]) -> str:
 
 
 def write_page(results: dict[str, Any]) -> None:
-    """Everything, from whatever sections there are."""
+    """Everything, from whatever sections there are, and what is kept of Cycles and LuxCore."""
+    peers = json.loads(PEERS.read_text()) if PEERS.exists() else None
     machine = results["machine"]
     plot_rays(results["rays"])
     plot_errors(results["paths"])
@@ -248,7 +298,7 @@ def write_page(results: dict[str, Any]) -> None:
         f"{d['name']}, {d['platform']}, code for {d['instructions'] or 'its own instruction set'}"
         for d in machine["devices"]
     )
-    peers = ", ".join(f"{name} {found}" for name, found in machine["peers"].items())
+    packages = ", ".join(f"{name} {found}" for name, found in machine["peers"].items())
     left_out = sorted(
         {reason for scene in results["paths"].values() for reason in scene.get("left_out", {}).values()}
     )
@@ -256,7 +306,7 @@ def write_page(results: dict[str, Any]) -> None:
 
 Written by `make bench` (`bench/run.py`); do not edit. The numbers are in `bench/results`, what they are made of in `bench/`.
 
-Machine: {machine["processor"]}, {machine["cores"]} cores. {devices}. Peers: {peers}. One core unless said: CPU seconds of
+Machine: {machine["processor"]}, {machine["cores"]} cores. {devices}. Peers: {packages}. One core unless said: CPU seconds of
 processes that are pinned to it. Ratios are of one run, medians of alternating turns for rays.
 
 ## Rays
@@ -272,18 +322,21 @@ not, its robust mode nearly is.
 ## Paths
 
 The scenes of `bench/scenes.py`, 128 x 128, roulette off, all renderers with multiple importance sampling. Penumbra splits
-samples into 8 replicates, whose spread is its error bar; the peers give no error bar, so one replicate is the like comparison.
+samples into {results.get("replicates", 8)} replicates, whose spread is its error bar; the peers give no error bar, so
+one replicate is the like comparison.
 {"Left out: " + "; ".join(left_out) + "." if left_out else ""}
 
 ![relMSE over seconds](performance/errors.svg)
 
-{paths_text(results["paths"])}
+{paths_text(results["paths"], peers["paths"] if peers else {})}
+
+{kept_text(peers)}
 
 ## Samplers
 
 relMSE at 64 samples a pixel, one replicate, on the same scenes:
 
-{samplers_text(results["samplers"])}
+{samplers_text(results["samplers"], results["paths"])}
 
 ## Scaling
 

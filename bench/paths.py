@@ -1,4 +1,4 @@
-"""Whole paths against Mitsuba 3: camera paths per second, and seconds to a relMSE, on the same scenes.
+"""Whole paths against other renderers: camera paths per second, and seconds to a relMSE, on the same scenes.
 
     python bench/paths.py [--scenes cornell mesh ...] [--renderers penumbra mitsuba_llvm/multijitter ...] [--samples 4 16 64]
 
@@ -6,6 +6,7 @@ Prints JSON. Two pictures of different seeds are made at each number of samples:
 the variance, and relMSE = mean(variance / (mean^2 + 0.01)), the mean over all pictures of all renderers. All of them are
 unbiased (against_mitsuba.py tests that), so no reference picture is needed. Seconds to a relMSE are interpolated on
 log-log axes, or extrapolated from the two last points. Scenes are built and programs compiled before the clock starts.
+From 64 samples on, none are added once the least relMSE is reached.
 """
 
 from __future__ import annotations
@@ -20,16 +21,19 @@ from typing import Any, Protocol
 import numpy as np
 from clock import clock, cores
 from numpy.typing import NDArray
+from peer import PEERS, Peer
 from penumbra_kernels.compile.scene import compile_scene
 from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import Tile
 from penumbra_kernels.tracer import SamplePlan, Tracer
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
 from scenes import SCENES, SIZE, UnsupportedError, build
 
 Array = NDArray[np.float64]
-REPLICATES = 8
+OURS = "penumbra_1"
 EPSILON = 0.01
 TARGETS = (1e-2, 1e-3)
+ENOUGH = 64
 SEEDS = (1, 2)
 LLVM = ("libLLVM-19.so", "libLLVM.so.19.1")
 RENDERERS = (
@@ -40,7 +44,7 @@ RENDERERS = (
     "mitsuba_llvm/independent",
     "mitsuba_llvm/multijitter",
 )
-"""`penumbra` renders as the service does: 8 replicates, whose spread is the error bar. `penumbra_1` has one: no error bar,
+"""`penumbra` renders as the service does: some replicates, whose spread is the error bar. `penumbra_1` has one: no error bar,
 but one sequence over all samples, as the others have."""
 
 
@@ -53,8 +57,24 @@ class Renderer(Protocol):
     def render(self, samples: int, seed: int) -> Array:
         """(height, width, 3)."""
 
+    def seconds(self) -> float:
+        """A clock of the rendering."""
 
-class Penumbra:
+    def close(self) -> None:
+        """Whatever is left to end."""
+
+
+class InProcess:
+    """A renderer that shares this process and its clock."""
+
+    def seconds(self) -> float:
+        return clock()
+
+    def close(self) -> None:
+        """Nothing."""
+
+
+class Penumbra(InProcess):
     """This renderer, without the service around it."""
 
     def __init__(self, name: str, sampler: str, replicates: int) -> None:
@@ -84,7 +104,7 @@ def find_llvm() -> None:
             os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(path))
 
 
-class Mitsuba:
+class Mitsuba(InProcess):
     """Mitsuba's path integrator with roulette off, as in our scenes."""
 
     def __init__(self, name: str, variant: str, sampler: str) -> None:
@@ -107,11 +127,13 @@ class Mitsuba:
 
 
 def renderer(name: str, which: str) -> Renderer:
-    """`penumbra[/sampler]`, `penumbra_1[/sampler]` or `mitsuba_<variant>/<sampler>` on a scene. Raises ImportError where a
-    package is missing, UnsupportedError where the scene has what the renderer lacks."""
+    """`penumbra[/sampler]`, `penumbra_1[/sampler]`, `mitsuba_<variant>/<sampler>`, `cycles` or `luxcore` on a scene. Raises
+    ImportError where a package is missing, UnsupportedError where the scene has what the renderer lacks."""
     program, _, sampler = which.partition("/")
+    if program in PEERS:
+        return Peer(name, program)
     if program.startswith("penumbra"):
-        return Penumbra(name, sampler or "sobol", 1 if program == "penumbra_1" else REPLICATES)
+        return Penumbra(name, sampler or "sobol", 1 if program == "penumbra_1" else DEFAULT_REPLICATES)
     if importlib.util.find_spec("mitsuba") is None:
         raise ImportError("mitsuba is not installed")
     return Mitsuba(name, program.removeprefix("mitsuba_"), sampler)
@@ -122,14 +144,26 @@ def measure(loaded: Renderer, ladder: list[int]) -> list[dict[str, Any]]:
     points = []
     for samples in ladder:
         loaded.prepare(samples)
-        started = clock()
+        started = loaded.seconds()
         pictures = [loaded.render(samples, seed) for seed in SEEDS]
-        points.append({"samples": samples, "seconds": (clock() - started) / 2, "pictures": pictures})
+        seconds = (loaded.seconds() - started) / len(SEEDS)
+        points.append({"samples": samples, "seconds": seconds, "pictures": pictures})
+        if samples >= ENOUGH and relmse(pictures, np.mean(pictures, axis=0)) < min(TARGETS):
+            break
+    loaded.close()
     return points
 
 
+def relmse(pictures: list[Array], mean: Array) -> float:
+    """Of one picture, from two of the same expectation and variance."""
+    a, b = pictures
+    return float(np.mean(0.5 * (a - b) ** 2 / (mean**2 + EPSILON)))
+
+
 def seconds_to(points: list[dict[str, Any]], target: float) -> float:
-    """Where the line through the measured (seconds, relMSE) meets the target."""
+    """Where the line through the measured (seconds, relMSE) meets the target; from one point on, relMSE falls as 1/seconds."""
+    if len(points) == 1:
+        return float(points[0]["seconds"] * points[0]["relmse"] / target)
     x = np.log([p["relmse"] for p in points])
     y = np.log([p["seconds"] for p in points])
     k = int(np.clip(np.searchsorted(-x, -np.log(target)), 1, len(x) - 1))
@@ -137,11 +171,22 @@ def seconds_to(points: list[dict[str, Any]], target: float) -> float:
     return float(np.exp(y[k] + slope * (np.log(target) - x[k])))
 
 
+def agreement(pictures: list[Array], ours: list[Array]) -> dict[str, float]:
+    """Ratio of image means to Penumbra's, and rms difference of 8 x 8 blocks over what noise explains: 1 where both agree."""
+    a, b = np.stack(pictures), np.stack(ours)
+    tiles = [x.reshape(2, SIZE // 8, 8, SIZE // 8, 8, 3).mean(axis=(2, 4, 5)) for x in (a, b)]
+    noise = sum(float(np.mean((t[0] - t[1]) ** 2)) / 4 for t in tiles)
+    apart = float(np.mean((tiles[0].mean(axis=0) - tiles[1].mean(axis=0)) ** 2))
+    return {
+        "mean_ratio": round(float(a.mean() / b.mean()), 4),
+        "rms_z": round(float(np.sqrt(apart / noise)), 2),
+    }
+
+
 def finish(points: list[dict[str, Any]], mean: Array) -> dict[str, Any]:
     """What is reported of one renderer on one scene."""
     for point in points:
-        a, b = point.pop("pictures")
-        point["relmse"] = float(np.mean(0.5 * (a - b) ** 2 / (mean**2 + EPSILON)))
+        point["relmse"] = relmse(point.pop("pictures"), mean)
     last = points[-1]
     result: dict[str, Any] = {
         "mpaths_per_second": round(SIZE * SIZE * last["samples"] / last["seconds"] / 1e6, 4)
@@ -163,7 +208,10 @@ def compare(name: str, which: list[str], ladder: list[int]) -> dict[str, Any]:
         except (ImportError, UnsupportedError) as error:
             left_out[one] = str(error).splitlines()[0]
     mean = np.mean([p for points in measured.values() for p in points[-1]["pictures"]], axis=0)
+    last = {one: points[-1]["pictures"] for one, points in measured.items()}
     result: dict[str, Any] = {one: finish(points, mean) for one, points in measured.items()}
+    for one in last.keys() - {OURS} if OURS in last else ():
+        result[one] |= agreement(last[one], last[OURS])
     return result | ({"left_out": left_out} if left_out else {})
 
 

@@ -8,6 +8,8 @@ is written from it with its plots. What --full adds, a mesh of ten million trian
 machine and date until it is measured again, and on the page. The quick run takes about four minutes on two cores. A peer that
 is not installed is named and left out; `pip install -e '.[bench]'` installs them, and Mitsuba's llvm variant wants Debian's
 libllvm19.
+
+Cycles and LuxCore are measured by `make bench-peers`, which is --only peers: bench/results/peers.json is kept in the same way.
 """
 
 from __future__ import annotations
@@ -25,15 +27,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from peer import PEERS, versions
 from penumbra_kernels import pocl_cache
+from penumbra_service.film.replicates import DEFAULT_REPLICATES
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
 WITH_PEERS = ("rays", "paths", "all_cores", "samplers")
 """Sections whose numbers are partly theirs."""
-PEERS = ("embreex", "mitsuba")
+PACKAGES = ("embreex", "mitsuba")
 SCENES = ("cornell", "horizon", "gloss", "lens", "glass", "lights", "mesh", "motion")
-SAMPLERS = ("sobol", "blue_noise", "jittered", "stratified", "independent")
+OTHER_SAMPLERS = ("blue_noise", "jittered", "independent")
+"""Beside Sobol's, which the section `paths` measures as it does multijitter."""
 LARGE = "10000000"
 """Triangles."""
 WORTH_TELLING = 0.05
@@ -66,9 +71,8 @@ def sections(full: bool, one: list[int], every: list[int]) -> dict[str, Any]:
             "--renderers", "penumbra", "mitsuba_llvm/multijitter",
         ),
         "samplers": lambda: child(
-            one, "paths.py", "--scenes", "cornell", "lens", "gloss", "--samples", "16", "64",
-            "--renderers", *(f"penumbra_1/{s}" for s in SAMPLERS),
-            "mitsuba_llvm/multijitter", "mitsuba_llvm/independent",
+            one, "paths.py", "--scenes", *SCENES, "--samples", "64",
+            "--renderers", *(f"penumbra_1/{s}" for s in OTHER_SAMPLERS), "mitsuba_llvm/independent",
         ),
         "scaling": lambda: child(one, "scaling.py", "--largest", "10000000" if full else "1000000"),
         "start": lambda: child(every, "latency.py", "--runs", "9" if full else "5"),
@@ -76,15 +80,33 @@ def sections(full: bool, one: list[int], every: list[int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def measure_large(cores: list[int]) -> None:
+def measure_large(every: list[int]) -> None:
     """What is too long for every run: kept for itself."""
-    file = RESULTS / "large.json"
+    keep("large", {"memory": child(every, "memory.py", "--triangles", LARGE)})
+
+
+def measure_peers(one: list[int]) -> None:
+    """Penumbra and the renderers that have an environment of their own: kept for themselves as well."""
+    arguments = (
+        "--scenes",
+        *SCENES,
+        "--samples",
+        "4",
+        "16",
+        "64",
+        "256",
+        "--renderers",
+        "penumbra_1",
+        *PEERS,
+    )
+    keep("peers", {"peers": versions(), "paths": child(one, "paths.py", *arguments)})
+
+
+def keep(name: str, found: dict[str, Any]) -> None:
+    """Into a file of its own, with machine and date."""
+    file = RESULTS / f"{name}.json"
     before = json.loads(file.read_text()) if file.exists() else {}
-    found = {
-        "machine": machine(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "memory": child(cores, "memory.py", "--triangles", LARGE),
-    }
+    found = {"machine": machine(), "date": datetime.now(UTC).date().isoformat(), **found}
     file.write_text(json.dumps(found, indent=1) + "\n")
     print_changes(before, found)
 
@@ -106,7 +128,7 @@ def machine() -> dict[str, Any]:
         "processor": model,
         "cores": len(os.sched_getaffinity(0)),
         "devices": devices_found,
-        "peers": {peer: _version(peer) for peer in PEERS},
+        "peers": {peer: _version(peer) for peer in PACKAGES},
     }
 
 
@@ -152,7 +174,10 @@ def main() -> None:
     parser.add_argument("--full", action="store_true", help="more samples, ten million triangles")
     parser.add_argument("--quick", action="store_true", help="the default")
     parser.add_argument(
-        "--only", nargs="+", default=None, help="just these sections (or large); the others stay as they were"
+        "--only",
+        nargs="+",
+        default=None,
+        help="just these sections (or large, peers); the others stay as they were",
     )
     parser.add_argument("--no-page", action="store_true", help="leave docs/performance.md alone")
     options = parser.parse_args()
@@ -160,7 +185,9 @@ def main() -> None:
     chosen = sections(options.full, every[:1], every)
     file = RESULTS / ("full.json" if options.full else "quick.json")
     before = json.loads(file.read_text()) if file.exists() else {}
-    results: dict[str, Any] = {"machine": machine()}
+    results: dict[str, Any] = {"machine": machine(), "replicates": DEFAULT_REPLICATES}
+    if options.only and "paths" not in options.only and "replicates" in before:
+        results["replicates"] = before["replicates"]
     if options.only and not set(options.only) & set(WITH_PEERS) and before:
         results["machine"]["peers"] = before["machine"]["peers"]  # their numbers stay as well
     for name, measure in chosen.items():
@@ -178,6 +205,8 @@ def main() -> None:
     print_changes(before, results)
     if "large" in (options.only or ()) or (options.full and not options.only):
         measure_large(every)
+    if "peers" in (options.only or ()):
+        measure_peers(every[:1])
     if not options.no_page:
         from page import write_page
 

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Pins every package with hashes, naming no host: requirements.lock has all that developing and testing need,
-# requirements-service.lock the same versions of what the service alone needs.
+# requirements-service.lock the same versions of what the service alone needs, bench/peers/requirements.lock the renderers that
+# bench/ compares with and that cannot live beside Penumbra.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 python=${VENV:-.venv}/bin/python
@@ -18,5 +19,8 @@ pin() {
 
 upgrade=("$@")
 pin requirements.lock service cpu plots farm dev
+"$python" -m uv pip compile bench/peers/requirements.in --python-version 3.11 --universal --generate-hashes \
+  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
+  --output-file bench/peers/requirements.lock "${upgrade[@]}" >/dev/null
 upgrade=(--constraint requirements.lock)
 pin requirements-service.lock service cpu plots farm
