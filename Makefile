@@ -63,7 +63,7 @@ layout: setup ## write kernels/penumbra_kernels/cl/layout.h from layout.py
 lock: setup ## pin every package, with hashes (ARGS=--upgrade for newer ones)
 	@./scripts/lock.sh $(ARGS)
 
-farmsim: setup ## simulate a day of 10,000 workers with the service's own planner (some minutes of one core)
+farmsim: setup ## simulate a day of 10,000 workers with the planner of the service, and write it into docs/farm.md: some minutes of a core
 	@$(BIN)/python bench/farm_simulation.py $(ARGS)
 
 pictures: setup ## render every example into docs/pictures
@@ -87,13 +87,13 @@ bench-peers: peers ## measure Cycles and LuxCore beside Penumbra: some minutes, 
 lights: setup ## measure how lights are chosen, and write docs/lights.md
 	@$(BIN)/python bench/lights.py $(ARGS)
 
-faults: setup ## kill and stop the processes of a farm while it renders; the picture must have the same bits
+faults: setup ## kill, stop and fill what a farm consists of while it renders; the picture must have the same bits
 	@PENUMBRA_FAULTS=all $(BIN)/python -m pytest tests/faults tests/service/test_dropped_connections.py $(ARGS)
 
-soak: setup ## 200 random kills on a farm, nothing lost: some ten minutes (KILLS=n)
+soak: setup ## 200 random kills on a farm of PoCL workers, nothing lost: a quarter of an hour or two (KILLS=n)
 	@PENUMBRA_SOAK_KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_soak.py -s $(ARGS)
 
-farm: setup ## measure what a farm costs against the local engine, on this machine
+farm: setup ## measure what a farm costs against the local engine, and write it into docs/farm.md: five minutes
 	@$(BIN)/python bench/farm.py $(ARGS)
 
 compose-secrets: setup ## make keys and certificates for docker-compose.yml, in secrets/

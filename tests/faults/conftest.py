@@ -408,22 +408,26 @@ def pocl_undisturbed(jobs: Any, tmp_path_factory: pytest.TempPathFactory) -> dic
     """The channels of every kind of job, from a service on this machine's device."""
     folder = tmp_path_factory.mktemp("local") / "data"
     service = Service(folder, PENUMBRA_DEVICES=POCL, POCL_MAX_PTHREAD_COUNT="2")
-    service.start()
     found = {}
-    for kind, (document, frames) in jobs.items():
-        job = service.submit(document)
-        service.done(job)
-        found[kind] = service.channels(job, frames)
-    service.stop()
+    try:
+        service.start()
+        for kind, (document, frames) in jobs.items():
+            job = service.submit(document)
+            service.done(job)
+            found[kind] = service.channels(job, frames)
+    finally:
+        service.stop()
     return found
 
 
 @pytest.fixture
 def pocl_service(pocl_farm: Any, tmp_path: Path) -> Iterator[Service]:
     service = Service(tmp_path / "data", pocl_farm.address)
-    service.start()
-    yield service
-    service.stop()
+    try:
+        service.start()
+        yield service
+    finally:
+        service.stop()
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,7 @@ SECONDS_A_KILL = 15.0
 GAP = (0.3, 3.0)
 """Seconds between two kills: at random, evenly."""
 WORKERS = ("one", "two", "three")
-VICTIMS = {"worker": 12, "device": 2, "scheduler": 1, "service": 2, "database": 1}
+VICTIMS = {"worker": 24, "device": 4, "scheduler": 3, "service": 1, "database": 4}
 """How often each is meant, in parts."""
 DEVICES_A_JOB = 2
 """Device processes that may die under one job: a job that more die under in a row is itself to blame."""
@@ -32,36 +32,44 @@ DEVICES_A_JOB = 2
 def test_random_kills_lose_nothing(  # type: ignore[no-untyped-def]
     pocl_farm, pocl_undisturbed, jobs, make_service, postgres_url, drop_connections, tmp_path
 ):
-    draw = random.Random(20260801)
     service = make_service(tmp_path / "data", pocl_farm.address, postgres_url)
-    kill = Killer(pocl_farm, service, lambda: drop_connections(postgres_url), draw)
+    kill = Killer(pocl_farm, service, lambda: drop_connections(postgres_url), random.Random(20260801))
     pocl_farm.add_worker("three")
     pocl_farm.wait_for(*WORKERS)
-    service.start()
     began = time.monotonic()
+    try:
+        service.start()
+        given = _storm(pocl_farm, service, jobs, kill)
+        took = time.monotonic() - began
+        receipts = []
+        for kind, job in given:
+            frames = jobs[kind][1]
+            assert service.channels(job, frames) == pocl_undisturbed[kind], (kind, job)
+            receipts += service.receipts(job, frames)
+    finally:
+        service.stop()
+        pocl_farm.kill("three")
+    told = {name: sum(r[name] for r in receipts) for name in ("redone_leases", "resumed")}
+    print(
+        f"\n{kill.done.total()} kills in {took:.0f} s: {dict(kill.done)}; {len(given)} jobs, all done: {told}"
+    )
+    assert told["redone_leases"] > 0
+
+
+def _storm(farm: Any, service: Any, jobs: Any, kill: Killer) -> list[tuple[str, str]]:
+    """Jobs one after the other until all kills are done and all jobs: their kinds and ids."""
     given: list[tuple[str, str]] = []
     while kill.done.total() < KILLS:
         if not given or _is_done(service, given[-1][1]):
             kind = list(jobs)[len(given) % len(jobs)]
             given.append((kind, _submit(service, jobs[kind][0])))
             kill.devices_left = DEVICES_A_JOB
-        time.sleep(draw.uniform(*GAP))
+        time.sleep(kill.draw.uniform(*GAP))
+        farm.wait_until(lambda: len(farm.up()) >= 2, "two workers are up, so that something is done at all")
         kill.one()
     for _, job in given:
         service.done(job)
-    took = time.monotonic() - began
-    receipts = []
-    for kind, job in given:
-        frames = jobs[kind][1]
-        assert service.channels(job, frames) == pocl_undisturbed[kind], (kind, job)
-        receipts += service.receipts(job, frames)
-    service.stop()
-    pocl_farm.kill("three")
-    told = {name: sum(r[name] for r in receipts) for name in ("redone_leases", "resumed")}
-    print(
-        f"\n{kill.done.total()} kills in {took:.0f} s: {dict(kill.done)}; {len(given)} jobs, all done: {told}"
-    )
-    assert told["redone_leases"] > 0
+    return given
 
 
 class Killer:
@@ -73,21 +81,21 @@ class Killer:
         self._farm = farm
         self._served = service
         self._drop = drop
-        self._draw = draw
+        self.draw = draw
 
     def one(self) -> None:
         """SIGKILL to one, if it is up just now."""
-        victim = self._draw.choices(list(VICTIMS), list(VICTIMS.values()))[0]
+        victim = self.draw.choices(list(VICTIMS), list(VICTIMS.values()))[0]
         self.done[victim] += getattr(self, f"_{victim}")()
 
     def _worker(self) -> int:
         """A Dask worker; what keeps it up is left alone."""
         with contextlib.suppress(IndexError):  # none is up
-            return _kill(self._farm.worker_pid(self._draw.choice(WORKERS)))
+            return _kill(self._farm.worker_pid(self.draw.choice(WORKERS)))
         return 0
 
     def _device(self) -> int:
-        pid = self._farm.device_pid(self._draw.choice(WORKERS))
+        pid = self._farm.device_pid(self.draw.choice(WORKERS))
         if pid is None or self.devices_left == 0:
             return 0
         self.devices_left -= 1
