@@ -55,13 +55,14 @@ def main() -> None:
     # Of all processes below: workers see one device of one thread each, the local engine two.
     os.environ |= {"POCL_MAX_PTHREAD_COUNT": "1", "POCL_DEVICES": "pthread pthread"}
     scene = Scene.model_validate(json.loads(options.scene.read_text()))
+    load = os.getloadavg()[0]  # of whatever else this machine is at
     with tempfile.TemporaryDirectory() as folder:
         os.environ.setdefault("PENUMBRA_CACHE", folder + "/cache")
         with _farm(Path(folder)) as farm, LocalEngine(["pocl:0", "pocl:1"]) as local:
             local.wait_known(JOIN_SECONDS)
             told = _pairs(farm, local, scene, Path(folder), options)
             told |= _held(farm, scene, Path(folder), options.seconds)
-    told |= {"processor": processor(), "scene": options.scene.name}
+    told |= {"processor": processor(), "scene": options.scene.name, "load_average": load}
     print(json.dumps(told, indent=1))
     if not options.no_page:
         RESULTS.write_text(json.dumps(told, indent=1) + "\n")
@@ -193,7 +194,8 @@ def page(told: dict[str, Any]) -> str:
     rows = [(who, *(_cell(costs[name].get(who)) for name in costs)) for who in [*names, "all"]]
     shares = " and ".join(f"{share:.1%}" for share in told["share_of_time_with_a_running_lease"].values())
     runs = ", ".join(f"{ratio:.3f}" for ratio in told["farm_over_local_runs"])
-    return f"""On {told["processor"]}, `{told["scene"]}`, two devices of one thread each:
+    return f"""On {told["processor"]}, `{told["scene"]}`, two devices of one thread each; load average of the machine
+before: {told["load_average"]:.1f}.
 
 Two workers held a running lease for {shares} of a job of {told["seconds"]:.0f} s ({told["leases"]} leases).
 
