@@ -137,5 +137,5 @@ def test_a_quote_that_a_service_beside_this_one_makes_keeps_its_folder(house: Ho
     os.utime(old, (then, then))
     house.keeper(database_url="postgresql://elsewhere/penumbra").sweep_leftovers()
     assert [path.name for path in work.iterdir()] == [new.name]
-    house.keeper().sweep_leftovers()
+    house.keeper(database_url="").sweep_leftovers()
     assert not list(work.iterdir())
