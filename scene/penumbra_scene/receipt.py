@@ -140,7 +140,7 @@ class ReceiptProgram(Model):
     """Of building it while another one rendered; no part of the stages' seconds."""
     leases: Count = 0
     samples: Count = 0
-    """All pixels and replicates together."""
+    """All pixels and replicates together, with those that were rendered ahead and dropped."""
     first_sample: Count = 0
     end: Count = 0
     """Every sample that it took has an index, in its replicate, from `first_sample` up to before `end`."""
