@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -23,6 +24,7 @@ _SBATCH = """#!/bin/bash
 grep -q '^#SBATCH' "$1" || exit 1
 cp "$1" "$0.job"
 setsid bash "$0.job" >"$0.log" 2>&1 &
+echo $! >"$0.pid"
 echo "Submitted batch job $!"
 """
 _SCANCEL = """#!/bin/bash
@@ -44,7 +46,11 @@ def slurm(tmp_path: Path, free_port: int) -> Iterator[subprocess.Popen[str]]:
     )
     yield process
     process.send_signal(signal.SIGTERM)
-    assert process.wait(60) == 0
+    try:
+        assert process.wait(60) == 0
+    finally:  # as Slurm does with whatever of a job does not end by itself
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(int((tmp_path / "sbatch.pid").read_text()), signal.SIGKILL)
 
 
 def test_dask_jobqueues_jobs_render_over_tls(slurm, make_task, tmp_path):  # type: ignore[no-untyped-def]
