@@ -171,11 +171,11 @@ def paths_text(paths: dict[str, Any], kept: dict[str, Any]) -> str:
 
 
 def _row(scene: dict[str, Any], beside: dict[str, Any], key: str) -> Row:
-    """Every renderer's number, and the ratios of one replicate's to llvm's and to the best peer's of its own run."""
+    """Every renderer's number, and the ratios of one replicate's to llvm's and to the best peer's, in the run of each."""
     numbers = {which: (beside if which in KEPT else scene).get(which, {}).get(key) for which in IN_PATHS}
     ratios = {
         which: (beside if which in KEPT else scene)[OURS][key] / numbers[which]
-        for which in IN_PATHS[2:]
+        for which in (LLVM, *KEPT)
         if numbers[which]
     }
     best = (min if key == "mpaths_per_second" else max)(ratios, key=lambda which: ratios[which], default=None)

@@ -37,6 +37,7 @@ WITH_PEERS = ("rays", "paths", "all_cores", "samplers")
 """Sections whose numbers are partly theirs."""
 PACKAGES = ("embreex", "mitsuba")
 SCENES = ("cornell", "horizon", "gloss", "lens", "glass", "lights", "mesh", "motion")
+IN_PATHS = ("penumbra", "penumbra_1", "mitsuba_scalar/multijitter", "mitsuba_llvm/multijitter")
 OTHER_SAMPLERS = ("blue_noise", "jittered", "independent")
 """Beside Sobol's, which the section `paths` measures as it does multijitter."""
 LARGE = "10000000"
@@ -62,10 +63,10 @@ def child(cores: list[int], script: str, *arguments: str) -> Any:
 
 def sections(full: bool, one: list[int], every: list[int]) -> dict[str, Any]:
     """Name -> call that measures."""
-    ladder = ["4", "16", "64", "256"] if full else ["4", "16", "64"]
+    ladder = ["4", "16", "64", "256"]
     return {
         "rays": lambda: child(one, "rays.py", "--turns", "9" if full else "5"),
-        "paths": lambda: child(one, "paths.py", "--scenes", *SCENES, "--samples", *ladder),
+        "paths": lambda: child(one, "paths.py", "--scenes", *SCENES, "--samples", *ladder, "--renderers", *IN_PATHS),
         "all_cores": lambda: child(
             every, "paths.py", "--scenes", "cornell", "mesh", "--samples", "16", "64",
             "--renderers", "penumbra", "mitsuba_llvm/multijitter",
