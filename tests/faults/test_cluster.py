@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,9 @@ from penumbra_service.engine.dask.certs import make_certs
 from penumbra_service.engine.dask.engine import DaskEngine
 from penumbra_service.engine.runner import JobRunner
 
-pytest.importorskip("dask_jobqueue")
-pytestmark = [pytest.mark.thorough, pytest.mark.timeout(600)]
+# Its import would take SIGINT over, in this process.
+without = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="needs dask_jobqueue")
+pytestmark = [without, pytest.mark.thorough, pytest.mark.timeout(600)]
 PROGRAM = Path(__file__).parents[2] / "docs" / "deploy" / "slurm.py"
 _SBATCH = """#!/bin/bash
 grep -q '^#SBATCH' "$1" || exit 1

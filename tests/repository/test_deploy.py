@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -150,8 +151,8 @@ def test_slurm_files_are_sound() -> None:
         assert (ROOT / "service" / (module.replace(".", "/") + ".py")).is_file()
 
 
+@pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="needs dask_jobqueue")
 def test_dask_jobqueue_gets_a_job_that_starts_a_worker_of_the_farm(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    pytest.importorskip("dask_jobqueue")
     make_certs(tmp_path / "certs")
     words = ["--jobs", "1", "--tls", str(tmp_path / "certs"), "--port", "0", "--cpus", "8", "--script"]
     command = [sys.executable, str(DEPLOY / "slurm.py"), *words, "--queue", "gpu", "--walltime", "01:00:00"]

@@ -101,6 +101,7 @@ def test_bits_do_not_depend_on_tiles(engine, reference, tmp_path, monkeypatch, s
 def test_bits_do_not_depend_on_lease_sizes(engine, reference, tmp_path, monkeypatch):  # type: ignore[no-untyped-def]
     monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
     monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
+    monkeypatch.setattr("penumbra_service.jobs.planning.LEAST_SECONDS", 0.0)
     monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
     result = JobRunner(engine, _task(tmp_path)).run()
     assert sum(use.leases for use in result.record.devices.values()) >= 8

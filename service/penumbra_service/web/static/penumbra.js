@@ -58,7 +58,14 @@
     const address = document.body.dataset.events;
     if (!address || source || document.hidden) return;
     source = new EventSource(address);
+    source.addEventListener("open", catchUp);
     source.addEventListener("progress", onProgress);
+  }
+
+  // What changed between the page's making and the stream's opening, or while it was cut, no event tells.
+  function catchUp() {
+    const list = document.getElementById("cards");
+    (list ? [list] : document.querySelectorAll("[data-live]")).forEach(refresh);
   }
 
   function silence() {
@@ -67,12 +74,8 @@
   }
 
   document.addEventListener("visibilitychange", () => {
-    if (document.hidden) return silence();
-    const list = document.getElementById("cards");
-    if (document.body.dataset.events) {
-      (list ? [list] : document.querySelectorAll("[data-live]")).forEach(refresh); // what was missed
-    }
-    listen();
+    if (document.hidden) silence();
+    else listen();
   });
   window.addEventListener("pagehide", silence);
   window.addEventListener("pageshow", listen);
