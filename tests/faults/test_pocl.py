@@ -214,10 +214,10 @@ def test_devices_of_unlike_speed_share_a_job_and_check_each_other(  # type: igno
     service = make_service(tmp_path / "served", pocl_farm.address, PENUMBRA_VERIFY_SHARE="0.5")
     service.start()
     try:
+        (receipt,) = render(lambda: None, share=0.0, service=service)
         units = {
             device["id"]: device["compute_units"] for device in service.get("/v1/devices").json()["items"]
         }
-        (receipt,) = render(lambda: None, share=0.0, service=service)
     finally:
         service.stop()
         pocl_farm.kill("wide")
