@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from block import table
 from matplotlib.axes import Axes
+from penumbra_service.accuracy.plots import label_seconds
 
 plt.switch_backend("svg")
 plt.rcParams |= {"svg.fonttype": "none", "svg.hashsalt": "penumbra"}
@@ -104,13 +105,14 @@ def plot_errors(paths: dict[str, Any]) -> None:
             )  # fmt: skip
         axis.set_title(name, fontsize=9)
         axis.tick_params(labelsize=6, which="both")
+        label_seconds(axis.xaxis)
     for axis in axes[1]:
         axis.set_xlabel("seconds", fontsize=7)
     for axis in axes[:, 0]:
         axis.set_ylabel("relMSE", fontsize=7)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncol=3, fontsize=7)
-    figure.subplots_adjust(bottom=0.2)
+    figure.subplots_adjust(bottom=0.2, hspace=0.35)
     FOLDER.mkdir(exist_ok=True)
     figure.savefig(FOLDER / "errors.svg", metadata={"Date": None}, bbox_inches="tight")
     plt.close(figure)
@@ -121,7 +123,7 @@ def _line(axis: Axes, data: dict[str, float], label: str) -> None:
         [float(x) for x in data], [1e3 * y for y in data.values()], marker="o", color=COLORS["penumbra"]
     )
     axis.set_xscale("log")
-    axis.set_ylim(bottom=0)
+    axis.set_ylim(0, 1.1e3 * max(data.values()))
     axis.set_xlabel(label, fontsize=8)
     axis.tick_params(labelsize=7)
 

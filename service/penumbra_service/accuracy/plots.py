@@ -54,7 +54,7 @@ def plot_curves(found: Comparison, path: Path) -> None:
         _draw(axes, curve)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    _label_seconds(axes.xaxis)
+    label_seconds(axes.xaxis)
     axes.set_xlabel("seconds of tracing")
     axes.set_ylabel("relMSE against the reference")
     axes.set_title(f"{found.scene}, {found.width} x {found.height}, {found.device}", fontsize=10)
@@ -65,7 +65,7 @@ def plot_curves(found: Comparison, path: Path) -> None:
     plt.close(figure)
 
 
-def _label_seconds(axis: Any) -> None:
+def label_seconds(axis: Any) -> None:
     """At 1, 2 and 5 in each decade, as plain numbers: matplotlib's own labels overlap within one decade."""
     from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
 
