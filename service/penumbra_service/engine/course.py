@@ -292,9 +292,10 @@ class Course:
         record = self.record
         if record.foretold is not None:
             return
-        if self.stage.rule.relative_error is not None and not fit_theta(record.points).points:
+        goal = self.stage.goal  # in a pilot too: of the picture
+        if goal.relative_error is not None and not fit_theta(record.points).points:
             return
-        told = forecast(self.stage.rule, record.points, self.standing())
+        told = forecast(goal, record.points, self.standing())
         if told is not None:
             record.foretold = Foretold(record.points[-1].samples, told.samples, told.seconds)
 

@@ -153,6 +153,10 @@ def test_samples_are_the_mean_over_the_pixels(engine, tmp_path, way):  # type: i
     assert found.mean() == pytest.approx(64, rel=0.06)
     assert found.min() < 64 < found.max()
     assert result.record.points[-1].samples == pytest.approx(found.mean())
+    assert result.record.foretold is not None
+    assert result.record.foretold.samples == pytest.approx(
+        found.mean(), rel=0.06
+    )  # the picture's, not the pilot's
     use = result.record.adaptive
     assert use is not None
     assert sum(use.levels.values()) == SIDE * SIDE
