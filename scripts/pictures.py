@@ -117,7 +117,7 @@ def numbers(receipt: Receipt) -> str:
     frame = "" if receipt.frame is None else f"Frame {receipt.frame}: "
     return (
         f"{frame}{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`{spread}), {told}, "
-        f"{receipt.forecast.real_seconds:.1f} s on {receipt.devices[0].name}. Compiled in: {effects}."
+        f"{receipt.forecast.real_seconds:.1f} s on {receipt.devices[0].name}. Effects: {effects}."
     )
 
 

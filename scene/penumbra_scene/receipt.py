@@ -102,7 +102,7 @@ class Counts(Model):
 
 
 class EffectReport(Model):
-    """An effect, and why it was compiled in or left out."""
+    """An effect, and why the scene calls for it or does not. A generic program has the others too (`programs`)."""
 
     name: str
     reason: str

@@ -14,7 +14,6 @@ from penumbra_kernels.allotment import Allotment
 from penumbra_kernels.choice import Program
 from penumbra_kernels.compile.scene import CompiledScene
 from penumbra_kernels.device import BuildError, Device, DeviceError
-from penumbra_kernels.features import Feature
 from penumbra_kernels.nodes import SumNode, Tile
 from penumbra_kernels.program import source_hash
 from penumbra_kernels.proof import compare
@@ -56,6 +55,8 @@ class LoadedOnDevice:
         window = prepared.scene.film.window
         self._window = Tile(window.x, window.y, window.width, window.height)
         self._features = prepared.compiled.features
+        self.effects = tuple((v.name, v.present, v.reason, v.pointer) for v in self._features.verdicts)
+        """The scene's, whichever program renders."""
         plan = SamplePlan(spec.replicates, spec.strata)
         started = time.perf_counter()
         tracer = Tracer(device, prepared.compiled, plan, program=prepared.first, keep_arrays=False)
@@ -133,13 +134,4 @@ class LoadedOnDevice:
         tracer.trace(_WARM_UP, 0, 1)
         self._tracer = tracer
         self.program = program
-        self.effects = tuple(
-            _as_compiled(verdict, program == "generic") for verdict in self._features.verdicts
-        )
         self.program_hash = source_hash(self._programs.text(tracer.flags))
-
-
-def _as_compiled(verdict: Feature, generic: bool) -> tuple[str, bool, str, str | None]:
-    if verdict.present or not generic or verdict.name == "layers":
-        return verdict.name, verdict.present, verdict.reason, verdict.pointer
-    return verdict.name, True, f"the generic program has every effect; {verdict.reason}", None

@@ -131,7 +131,7 @@ class SceneLoaded:
     compile_warm: bool
     """The program came from the cache, or the process had it loaded."""
     effects: tuple[tuple[str, bool, str, str | None], ...]
-    """(name, compiled in, why, JSON pointer to what calls for it)."""
+    """(name, whether the scene calls for it, why, JSON pointer to what calls for it)."""
     program: str
     """'specialised' or 'generic'."""
     program_hash: str

@@ -29,7 +29,7 @@ class DeviceUse:
 
 @dataclass
 class Effect:
-    """An effect, compiled in or left out."""
+    """An effect that the scene calls for, or does not."""
 
     name: str
     present: bool

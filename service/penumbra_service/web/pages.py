@@ -277,9 +277,9 @@ def _rays_per_path(counts: Counts) -> str:
 
 
 def _programs(receipt: Receipt) -> str:
-    """The last program's hash, and what each rendered where there were several."""
+    """The last program's hash, and what each rendered."""
     last = receipt.program_hash or words.UNKNOWN
-    if len(receipt.programs) < 2:
+    if not receipt.programs:
         return last
     parts = [f"{p.program} on {p.device}: {p.leases} leases" for p in receipt.programs]
     return f"{last} ({', '.join(parts)})"

@@ -111,7 +111,8 @@ def test_bits_do_not_depend_on_lease_sizes(engine, reference, tmp_path, monkeypa
 def test_the_generic_program_gives_the_same_bits(engine, reference, tmp_path):  # type: ignore[no-untyped-def]
     task = dataclasses.replace(_task(tmp_path), program="generic")
     result = JobRunner(engine, task).run()
-    assert all(effect.present for effect in result.record.effects if effect.name != "layers")
+    assert {use.program for use in result.record.programs} == {"generic"}
+    assert not all(effect.present for effect in result.record.effects)  # the scene's, not the program's
     assert _same(_channels(result), reference)
 
 

@@ -96,7 +96,7 @@ def test_the_generic_program_begins_and_the_scenes_own_takes_over(bench: Bench) 
     scene = bench.backend.load(spec)
     assert scene is not None, "it had to wait"
     assert (scene.program, scene.compile_warm) == ("generic", True)
-    assert all(present for name, present, _, _ in scene.effects if name != "layers")
+    of_the_scene = scene.effects
     begun = bits(scene.trace(TILE, 0, 2, None))
     generic_hash = scene.program_hash
 
@@ -108,6 +108,7 @@ def test_the_generic_program_begins_and_the_scenes_own_takes_over(bench: Bench) 
     assert bench.built() == 2
     assert scene.program_hash != generic_hash
     assert scene.background_seconds > 0
+    assert scene.effects == of_the_scene
     assert not {name: present for name, present, _, _ in scene.effects}["lens"]
     assert begun == traced_by("specialised", 0)
     assert bits(scene.trace(TILE, 2, 2, None)) == traced_by("generic", 2)
