@@ -30,7 +30,7 @@ def main() -> None:
     cluster = SLURMCluster(
         queue=options.queue,
         walltime=options.walltime,
-        cores=2,  # the leases in flight; the device's threads are PoCL's or the GPU's
+        cores=1,  # of Dask, which runs no task; the device's threads are PoCL's or the GPU's
         processes=1,
         job_cpu=options.cpus,
         memory=options.memory,

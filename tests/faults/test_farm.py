@@ -27,6 +27,22 @@ def test_a_killed_scheduler_costs_the_leases_in_flight(farm, make_task, picture,
     assert result.record.crashes == 0
 
 
+def test_a_cut_connection_to_a_worker_is_made_again(farm, make_task, picture, undisturbed):  # type: ignore[no-untyped-def]
+    farm.wait_for("one", "two")
+    cut = []
+
+    def disturb() -> None:
+        for device in list(farm.engine._devices.values()):
+            cut.append(device.description.id)
+            farm.engine._loop.call_soon_threadsafe(device.channel.abort)
+
+    result = farm.run(make_task(), disturb)
+    assert picture(result) == undisturbed
+    assert sorted(cut) == ["fake:0@one", "fake:0@two"]
+    assert 1 <= result.record.redone_leases <= 4
+    assert result.record.crashes == 0
+
+
 def test_a_quote_of_a_farm_is_that_of_its_workers(farm, make_task, tmp_path, monkeypatch):  # type: ignore[no-untyped-def]
     """The pilot's blocks go to all of them; what it foretells is what a job on them takes."""
     monkeypatch.setattr("penumbra_service.engine.pilot.PILOT_SECONDS", 1e4)  # however busy the machine is

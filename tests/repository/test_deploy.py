@@ -16,7 +16,6 @@ import pytest
 import yaml
 from penumbra_client.cli import make_parser
 from penumbra_service.engine.dask.certs import make_certs
-from penumbra_service.jobs.dispatch import IN_FLIGHT
 from penumbra_service.settings import ENVIRONMENT_PREFIX, FILE_SUFFIX, load_settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -164,7 +163,7 @@ def test_dask_jobqueue_gets_a_job_that_starts_a_worker_of_the_farm(tmp_path) -> 
     (worker,) = (line for line in lines if "distributed.cli.dask_worker" in line)
     given = shlex.split(worker)
     assert given[given.index("--preload") + 1] == "penumbra_service.engine.dask.preload"
-    assert given[given.index("--nthreads") + 1] == str(IN_FLIGHT)
+    assert given[given.index("--nthreads") + 1] == "1"
     assert "--no-nanny" in given
     assert any(word.startswith("tls://") for word in given)
     assert Path(given[given.index("--tls-key") + 1]).is_file()

@@ -275,12 +275,12 @@ class Course:
             if items is None:
                 return
             self.save()
-            self._plan(items)
+            self._plan(items, more_follows=self.canvas.batches.more_follows(rate, left))
 
-    def _plan(self, items: list[WorkItem], *, again: bool = False) -> None:
-        """`again`: some of it may be under way."""
+    def _plan(self, items: list[WorkItem], *, again: bool = False, more_follows: bool = False) -> None:
+        """`again`: some of it may be under way; `more_follows`: another batch is sure to come."""
         if items:
-            self._desk.add(items, again=again)
+            self._desk.add(items, again=again, more_follows=more_follows)
             self._engine.wake()
 
     def _rate(self) -> float | None:

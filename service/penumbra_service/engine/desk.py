@@ -100,10 +100,13 @@ class LeaseDesk:
         tiles = {item.tile: allot(item.tile) for item in items} if allot else {}
         return Lease(lease_id, self._job, self._spec, items, deadline, tiles)
 
-    def add(self, items: Iterable[WorkItem], *, again: bool = False) -> None:
-        """More work, after what waits already. `again`: some of it may wait or be out."""
+    def add(self, items: Iterable[WorkItem], *, again: bool = False, more_follows: bool = False) -> None:
+        """More work, after what waits already. `again`: some of it may wait or be out; `more_follows`: it is a batch, and
+        another is sure to come."""
         with self._lock:
-            self._planner.add(self._planner.not_under_way(items) if again else items)
+            self._planner.add(
+                self._planner.not_under_way(items) if again else items, more_follows=more_follows
+            )
             self._asked = False
 
     def answered(self, result: LeaseResult, device: DeviceDescription) -> bool:

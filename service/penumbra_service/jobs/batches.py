@@ -80,6 +80,20 @@ class Batches:
             self.ahead = end
         return start, end
 
+    def more_follows(self, rate: float | None, seconds_left: float | None) -> bool:
+        """Whether another batch is sure to come after those that are open. `rate` and `seconds_left` as in `open_next`,
+        which has just opened one: the seconds are those before it."""
+        first, end = (self.checked, *self.open_ends)[-2:]
+        following = self.rule.next_end(end)
+        if self.rule.relative_error is not None or self.rule.deciding or following is None:
+            return False
+        if seconds_left is None:
+            return True
+        return (
+            rate is not None
+            and last_end_within(rate, seconds_left - (end - first) / rate, end, following) > end
+        )
+
     def _next_end(
         self, start: int, rate: float | None, seconds_left: float | None, look_seconds: float
     ) -> int | None:

@@ -18,9 +18,9 @@ from penumbra_kernels.nodes import FLOAT32_SAMPLES, SUM64, Tile
 
 from penumbra_service.film.levels import LevelMap
 
-LEASE_SECONDS: Final = 1.5
-"""What a lease should take: long against the some 5 ms of its way there and back, short enough to be done
-again."""
+LEASE_SECONDS: Final = 2.0
+"""The most that a lease should take: work is cut in halves, so that most take one to two seconds. Long against the some
+5 ms of its way there and back, short enough to be done again."""
 FIRST_LEASE_SAMPLES: Final = 1 << 17
 """Samples of a device's first lease, before its rate is known: some 0.1 s of one core."""
 MAX_GROWTH: Final = 8
@@ -33,6 +33,9 @@ LEAST_SECONDS: Final = 0.1
 longer for the last one."""
 LEAST_SHARE: Final = 1 / 32
 """Of the longer leases of a large farm: however many devices share the last work, none gets less."""
+BATCH_SHARE: Final = 1 / 8
+"""Of a device's share of a batch: leases get no shorter where another batch follows, since devices then need not end
+together, and the batch is looked at that much later at most."""
 MAX_LEASE_BYTES: Final = 32 * 1024 * 1024
 """Of sum nodes in an answer."""
 MAX_LEASE_ITEMS: Final = 256
@@ -93,6 +96,8 @@ class LeasePlanner:
         """Leases that had to be issued again."""
         self._ready: deque[WorkItem] = deque()
         self._ready_samples = 0
+        self._floor = 0
+        """Samples of the shortest lease."""
         self._attempts: dict[WorkItem, int] = {}
         self._failed_on: dict[WorkItem, frozenset[str]] = {}
         self._out: dict[int, PlannedLease] = {}
@@ -131,11 +136,14 @@ class LeasePlanner:
             return self.replicates * self.levels.samples(item.tile, item.first, item.count)
         return self.replicates * item.tile.width * item.tile.height * item.count
 
-    def add(self, items: Iterable[WorkItem]) -> None:
-        """Put work at the end of the queue."""
+    def add(self, items: Iterable[WorkItem], *, more_follows: bool = False) -> None:
+        """Put work at the end of the queue. `more_follows`: it is a batch, and as much or more comes after it."""
+        before = self._ready_samples
         for item in items:
             self._ready.append(item)
             self._ready_samples += self.samples_of(item)
+        share = (self._ready_samples - before) / max(self.devices, 1)
+        self._floor = int(share * BATCH_SHARE) if more_follows else 0
 
     def not_under_way(self, items: Iterable[WorkItem]) -> list[WorkItem]:
         """What of these items neither waits nor is out, in their order: of a tile that starts again, what there is to
@@ -231,7 +239,7 @@ class LeasePlanner:
             seconds = lease_seconds(self.devices)
             most = min(most, int(rate.samples_per_second * seconds))
             shortest = max((seconds - LEASE_SECONDS) * LEAST_SHARE, LEAST_SECONDS)
-            least = max(least, min(most, int(rate.samples_per_second * shortest)))
+            least = max(least, min(most, max(self._floor, int(rate.samples_per_second * shortest))))
         share = self.ready_samples // (2 * max(self.devices, 1))
         return max(min(most, share), least)
 

@@ -76,3 +76,20 @@ def test_begun_batches_are_taken_up_again():
     assert batches.open_ends == (5, 6)
     assert batches.barriers == (4, 5)
     assert Batches(StopRule(8)).ranges == []
+
+
+def test_whether_another_batch_follows_is_known_where_no_error_decides():
+    by_samples = Batches(StopRule(8, samples=64))
+    opened = [by_samples.open_next(None, None) for _ in range(2)]
+    assert opened == [(0, 1), (1, 2)]
+    assert by_samples.more_follows(None, None)
+    assert not Batches(StopRule(8, samples=64), checked=32, current=64).more_follows(None, None)
+    assert not Batches(StopRule(8, samples=64, relative_error=0.01), current=1).more_follows(None, None)
+    assert not Batches(StopRule(8, samples=64, deciding=True), current=1).more_follows(None, None)
+
+
+def test_another_batch_follows_where_it_fits_the_seconds_that_are_left():
+    batches = Batches(StopRule(8, seconds=10.0), checked=64, current=80)
+    assert batches.more_follows(16.0, 1.5)  # half a second for 8 of the next 16, after 16
+    assert not batches.more_follows(16.0, 1.2)
+    assert not batches.more_follows(None, 100.0)

@@ -75,4 +75,4 @@ def test_an_urgent_job_begins_within_two_leases_of_anybody(farm, simulation: Mod
 
 
 def test_leases_grow_with_the_farm_only_where_one_service_could_not_follow(simulation: ModuleType) -> None:
-    assert [simulation.lease_seconds(n) for n in (1, 75, 150, 10_000)] == [1.5, 1.5, 3.0, 200.0]
+    assert [simulation.lease_seconds(n) for n in (1, 75, 150, 10_000)] == [2.0, 2.0, 3.0, 200.0]

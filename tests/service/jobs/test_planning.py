@@ -82,6 +82,20 @@ def test_the_last_leases_shrink_so_that_devices_end_together():
     assert min(sizes[:-1]) > LEAST_SECONDS * speed / 2, "short leases cost more on their way than at work"
 
 
+def test_leases_stay_long_where_another_batch_follows():
+    speed, sizes = 1e6, {}
+    for more_follows in (True, False):
+        planner = LeasePlanner(1, devices=2)
+        planner.add((WorkItem(tile, 64, 64) for tile in TILES), more_follows=more_follows)
+        sizes[more_follows] = [lease.samples for _, lease in _run(planner, {"a": speed, "b": speed})][8:-1]
+    batch = 64 * 64 * 64 * len(TILES)
+    assert min(sizes[True]) >= batch / 2 / 8 / 2, (
+        "half of an eighth of a device's share: work is halved until it fits"
+    )
+    assert min(sizes[False]) <= LEAST_SECONDS * speed
+    assert len(sizes[True]) < len(sizes[False]) / 2
+
+
 def test_answers_stay_within_their_bytes():
     planner = LeasePlanner(8)
     planner.add(WorkItem(Tile(0, 0, 256, 256), i, 1) for i in range(64))

@@ -1,24 +1,27 @@
-"""Between Dask's tasks and the one device of a worker.
+"""Between the services of a farm and the one device of a worker.
 
 The device lives in a child process, as in the local engine and by the same code: its driver may abort or hang without
-taking the worker out of the farm, the job hears why, and the worker's own thread answers Dask while a kernel compiles.
+taking the worker out of the farm, the job hears why, and the worker's event loop answers while a kernel compiles.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from distributed import get_worker
+from distributed import Status, Worker
+from distributed.comm import Comm
 
-from penumbra_service.engine.dask.wire import Answer, Contents, FarmLease, Joined, loaded_to_event
+from penumbra_service.engine.dask.channel import OPERATION, Channel
+from penumbra_service.engine.dask.wire import Answer, Contents, FarmLease, Joined
 from penumbra_service.engine.launch import DEVICE_COMMAND
 from penumbra_service.engine.local import LocalEngine
 from penumbra_service.engine.protocol import (
@@ -40,13 +43,36 @@ KNOWN_SECONDS: Final = 120.0
 """Listing devices may take so long at a worker's start."""
 
 
+class _Service:
+    """One that has connected."""
+
+    def __init__(self, channel: Channel) -> None:
+        self.channel = channel
+        self.told: set[tuple[str, str]] = set()
+        """(job, spec): what was told to be loaded."""
+        self._loop = asyncio.get_running_loop()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def tell(self, loaded: SceneLoaded) -> None:
+        """From any thread; what is told first is heard first."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self.spawn, self.send(loaded))
+
+    async def send(self, message: SceneLoaded | Answer) -> None:
+        with contextlib.suppress(OSError):  # it has gone: it issues its leases again
+            await self.channel.send(message)
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
 @dataclass
 class _Waiting:
     lease: Lease
     answer: Future[Answer]
-    tell: Callable[[SceneLoaded], None]
-    whose: tuple[str, str, str]
-    """Service, job, spec."""
+    service: _Service
 
 
 class Agent:
@@ -81,7 +107,7 @@ class Agent:
         self._fetching = threading.Lock()
         self._loaded: OrderedDict[str, SceneLoaded] = OrderedDict()
         """By spec, what loading it was like: services that come later hear it too."""
-        self._told: set[tuple[str, str, str]] = set()
+        self._stores: dict[str, ContentStore] = {}
         self._engine = LocalEngine([device_id], command=command)
 
     def start(self) -> None:
@@ -99,25 +125,43 @@ class Agent:
         mine = replace(device, id=f"{device.id}@{self._name}")
         return Joined(mine, kernel_hash(), metadata.version("penumbra-render"))
 
-    def work(self, farm: FarmLease, tell: Callable[[SceneLoaded], None]) -> Answer:
-        """Do a lease; blocks until it is answered."""
+    def join(self, worker: Worker) -> None:
+        """Take leases from every service that connects to this Dask worker."""
+        worker.handlers[OPERATION] = self.serve
+
+    async def serve(self, comm: Comm) -> Status:
+        """A service's connection: tell it what this worker drives, then take its leases and answer each, until it goes."""
+        service = _Service(Channel(comm))
+        try:
+            await service.channel.send(await asyncio.to_thread(self.describe))
+            while True:
+                service.spawn(self._work(await service.channel.receive(), service))
+        except OSError:  # it has gone
+            comm.abort()
+        return Status.dont_reply
+
+    async def _work(self, farm: FarmLease, service: _Service) -> None:
+        """Do a lease and answer it."""
         lease = farm.lease
         try:
-            spec = self._fetch(lease.spec, farm.contents)
+            spec = await asyncio.to_thread(self._fetch, lease.spec, farm.contents)
         except OSError as error:  # this worker's trouble: another may reach the store
-            return LeaseFailure(lease.id, "device", f"the scene cannot be fetched: {error}")
-        waiting = _Waiting(replace(lease, spec=spec), Future(), tell, (farm.topic, lease.job, spec.key))
+            await service.send(LeaseFailure(lease.id, "device", f"the scene cannot be fetched: {error}"))
+            return
+        waiting = _Waiting(replace(lease, spec=spec), Future(), service)
+        whose = (lease.job, spec.key)
         with self._lock:
             self._ready.append(waiting)
-            loaded = None if waiting.whose in self._told else self._loaded.get(spec.key)
-            self._told.add(waiting.whose)
+            loaded = None if whose in service.told else self._loaded.get(spec.key)
+            service.told.add(whose)
         if loaded is not None:
-            tell(_warm(loaded, lease.job))
+            service.tell(_warm(loaded, lease.job))
         self._engine.wake()
-        return waiting.answer.result()
+        answer: Answer = await asyncio.wrap_future(waiting.answer)
+        await service.send(answer)
 
     def next_lease(self, device: DeviceDescription) -> Lease | None:
-        """What a task has brought (engine's thread)."""
+        """What a service has sent (engine's thread)."""
         with self._lock:
             if not self._ready:
                 return None
@@ -138,7 +182,7 @@ class Agent:
                     waiting = next((w for w in self._held.values() if w.lease.job == job), None)
                 if waiting is not None:
                     self._remember(waiting.lease.spec.key, event)
-                    waiting.tell(event)
+                    waiting.service.tell(event)
             case NoDevice(reason):
                 self._give_up(reason)
 
@@ -159,9 +203,9 @@ class Agent:
 
     def _fetch(self, spec: RenderSpec, contents: Contents) -> RenderSpec:
         """The spec with paths of this machine. Raises OSError."""
-        store = ContentStore(self._contents or contents.url)
         assets = self._cache / "assets"
         with self._fetching:
+            store = self._store(self._contents or contents.url)
             assets.mkdir(parents=True, exist_ok=True)
             scene = store.fetch(contents.scene, self._cache / "scenes")
             files = []
@@ -173,39 +217,14 @@ class Agent:
             trim(self._cache / "scenes", self._cache_bytes, [scene])
         return replace(spec, scene_path=str(scene), assets_folder=str(assets))
 
+    def _store(self, url: str) -> ContentStore:
+        if url not in self._stores:
+            self._stores[url] = ContentStore(url)
+        return self._stores[url]
+
 
 def _warm(loaded: SceneLoaded, job: str) -> SceneLoaded:
     """For a job that finds the scene loaded."""
     return replace(
         loaded, job=job, build_seconds=0.0, build_warm=True, compile_seconds=0.0, compile_warm=True
     )
-
-
-_AGENT: Agent | None = None
-
-
-def set_agent(agent: Agent) -> None:
-    """Whom this process's tasks work for."""
-    global _AGENT
-    _AGENT = agent
-
-
-def _agent() -> Agent:
-    if _AGENT is None:
-        raise RuntimeError("this Dask worker drives no device: start it with `penumbra worker`")
-    return _AGENT
-
-
-def describe_worker() -> Joined:
-    """A task: what does this worker drive?"""
-    return _agent().describe()
-
-
-def do_lease(farm: FarmLease) -> Answer:
-    """A task: do a lease."""
-    worker = get_worker()
-
-    def tell(loaded: SceneLoaded) -> None:
-        worker.log_event(farm.topic, loaded_to_event(worker.address, loaded))
-
-    return _agent().work(farm, tell)

@@ -1,8 +1,10 @@
-"""What Dask is told where its defaults cost a farm processor time for nothing: a farm has few and long tasks."""
+"""What Dask is told where its defaults cost a farm processor time for nothing: it runs no tasks here."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import resource
 from typing import Any, Final
 
 import dask
@@ -15,7 +17,7 @@ QUIET: Final[dict[str, Any]] = {
     "distributed.admin.low-level-log-length": 1000,
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.monitor-interval": "5 s",
-    "distributed.scheduler.active-memory-manager.start": False,  # an answer is fetched and released at once
+    "distributed.scheduler.active-memory-manager.start": False,
     "distributed.client.scheduler-info-interval": "60 s",
 }
 
@@ -24,3 +26,11 @@ def settle(**more: Any) -> None:
     """Configure Dask in this process, before anything of it starts."""
     dask.config.set({**QUIET, **more})
     logging.getLogger("distributed").setLevel("WARNING")
+    _allow_sockets()
+
+
+def _allow_sockets() -> None:
+    """Scheduler and service hold one for each worker: as many as this process may have without asking anybody."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

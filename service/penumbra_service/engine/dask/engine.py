@@ -1,8 +1,8 @@
 """The engine of a farm: devices of other processes and machines, reached through a Dask scheduler.
 
 Implements protocol.Engine. One thread runs an event loop and all that is here. It chooses whose lease goes to which
-device; to Dask a lease is a task pinned to one worker, and a worker has two at most: so Dask's own scheduling, stealing
-and suspicion of tasks on dying workers have nothing to decide.
+device. Dask's scheduler says who is there; a lease goes to its worker, and the answer comes back, on a connection of their
+own (channel.py), so that there is no task to be scheduled, stolen or suspected of killing its worker.
 
 Whatever is lost on the way (a worker, the scheduler, a connection) comes back to the job as LeaseLost, unblamed: the
 lease is issued again and the picture has the same bits.
@@ -15,8 +15,6 @@ import contextlib
 import logging
 import threading
 import time
-import uuid
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,23 +22,18 @@ from distributed import Client
 from penumbra_scene.job import DeviceStatus
 
 from penumbra_service.engine.dask.addresses import check_scheduler, security
-from penumbra_service.engine.dask.agent import describe_worker, do_lease
+from penumbra_service.engine.dask.channel import Channel, open_channel
 from penumbra_service.engine.dask.config import settle
 from penumbra_service.engine.dask.publisher import Publisher
 from penumbra_service.engine.dask.remote import PING_SECONDS, Carried, RemoteDevice
-from penumbra_service.engine.dask.wire import (
-    Answer,
-    FarmLease,
-    Joined,
-    NotPortableError,
-    loaded_from_event,
-)
+from penumbra_service.engine.dask.wire import Answer, FarmLease, Joined, NotPortableError
 from penumbra_service.engine.protocol import (
     DeviceDescription,
     LeaseFailure,
     LeaseLost,
     LeaseResult,
     LeaseSource,
+    SceneLoaded,
 )
 from penumbra_service.engine.snapshot import kernel_hash
 from penumbra_service.engine.sources import LeaseSources
@@ -57,6 +50,10 @@ JOIN_SECONDS: Final = 180.0
 """A worker may take so long to say what it drives."""
 
 
+class _LeftOutError(Exception):
+    """A worker that this service cannot use."""
+
+
 class DaskEngine:
     """`scheduler`: tls://host:port, or tcp:// on this machine; `contents`: URL of the store that workers fetch scenes
     from; `tls`: folder of certificates. Raises SettingsError for an address that may not be used."""
@@ -66,10 +63,10 @@ class DaskEngine:
         self._scheduler = check_scheduler(scheduler, tls)
         self._security = security(tls if scheduler.startswith("tls:") else None, "client")
         self._publisher = Publisher(contents)
-        self._topic = f"penumbra-{uuid.uuid4().hex}"
         self._sources = LeaseSources()
         self._devices: dict[str, RemoteDevice] = {}
-        self._joining: set[str] = set()
+        self._members: dict[str, asyncio.Task[None]] = {}
+        """Who keeps up the connection to each worker, by its address."""
         self._tasks: set[asyncio.Task[Any]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._woken: asyncio.Event | None = None
@@ -77,7 +74,6 @@ class DaskEngine:
         self._stopping = False
         self._connected = False
         self._failed: str | None = None
-        self._leases = 0
 
     def start(self) -> None:
         """Look for the scheduler; returns at once. Attached jobs wait for workers."""
@@ -149,7 +145,6 @@ class DaskEngine:
                     self._scheduler,
                     asynchronous=True,
                     security=self._security,
-                    direct_to_workers=True,
                     set_as_default=False,
                     timeout=CONNECT_SECONDS,
                     name="penumbra",
@@ -158,7 +153,8 @@ class DaskEngine:
             except (OSError, TimeoutError) as error:
                 log.warning("the scheduler at %s: %s", self._scheduler, error)
             self._connected = False
-            self._lose(list(self._devices.values()), "the connection to the scheduler was lost")
+            for address in list(self._members):
+                self._part(address, "the connection to the scheduler was lost")
             if not self._stopping:
                 await asyncio.sleep(RETRY_SECONDS)
 
@@ -166,79 +162,95 @@ class DaskEngine:
         """Until the scheduler is gone or the engine stops."""
         assert self._woken is not None
         client.subscribe_topic("all", lambda event: self._membership(client, event[1]))
-        client.subscribe_topic(self._topic, lambda event: self._scene_loaded(event[1]))
         known = await client.scheduler.identity(n_workers=-1)
         log.info("connected to the scheduler at %s: %d workers", self._scheduler, len(known["workers"]))
         self._connected = True
         for address in known["workers"]:
             self._join(client, address)
         while not self._stopping and client.status == "running":
-            self._feed(client)
+            self._feed()
             self._ping_quiet(client)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._woken.wait(), TICK_SECONDS)
             self._woken.clear()
         if client.status == "running":
-            for topic in ("all", self._topic):
-                client.unsubscribe_topic(topic)
+            client.unsubscribe_topic("all")
 
     def _membership(self, client: Client, event: dict[str, Any]) -> None:
         """A worker has come or gone."""
         address = event.get("worker")
         if event.get("action") == "add-worker" and address:
             self._join(client, address)
-        elif event.get("action") == "remove-worker" and address in self._devices:
-            device = self._devices[address]
-            log.warning("worker %s has gone", device.description.id)
-            self._lose([device], f"the worker of device {device.description.id} has gone")
+        elif event.get("action") == "remove-worker" and address:
+            self._part(address, "it has gone")
 
     def _join(self, client: Client, address: str) -> None:
-        if address not in self._devices and address not in self._joining:
-            self._joining.add(address)
-            self._spawn(self._greet(client, address))
+        if address not in self._members:
+            self._members[address] = self._spawn(self._keep(client, address))
 
-    async def _greet(self, client: Client, address: str) -> None:
-        """Ask a worker what it drives, and take it in if its kernels are ours."""
-        future = client.submit(
-            describe_worker, key=f"penumbra-describe-{uuid.uuid4().hex}", workers=[address], pure=False
-        )
+    def _part(self, address: str, reason: str) -> None:
+        """A worker is no member any more."""
+        member = self._members.pop(address, None)
+        if member is not None:
+            member.cancel()
+        if address in self._devices:
+            self._lose(self._devices[address], reason)
+
+    async def _keep(self, client: Client, address: str) -> None:
+        """Hold the connection to a worker for as long as it is a member."""
+        while True:
+            try:
+                await self._hold(client, address)
+            except _LeftOutError as error:
+                log.warning("%s", error)
+                return
+            except Exception as error:  # whatever it says: the others are to be served
+                log.warning("worker %s: %s: %s", address, type(error).__name__, error)
+            await asyncio.sleep(RETRY_SECONDS)
+
+    async def _hold(self, client: Client, address: str) -> None:
+        """Take a worker in and hear what it says, until the connection ends. Raises _LeftOutError, OSError."""
+        channel = await open_channel(address, client.connection_args)
+        device = None
         try:
-            joined: Joined = await asyncio.wait_for(future.result(), JOIN_SECONDS)
-        except Exception as error:
-            log.warning("worker %s is left out: %s", address, error)
-            return
+            device = RemoteDevice(address, await self._greet(channel), channel)
+            self._devices[address] = device
+            log.info("worker %s has joined", device.description.id)
+            self.wake()
+            while True:
+                self._hear(device, await channel.receive())
         finally:
-            self._joining.discard(address)
-            future.release()
-        if joined.kernel_hash != kernel_hash():
-            log.warning(
-                "worker %s is left out: its kernels (version %s) are not those of this service",
-                joined.device.id,
-                joined.version,
-            )
-            return
-        self._devices[address] = RemoteDevice(address, joined.device)
-        log.info("worker %s has joined", joined.device.id)
-        self.wake()
+            channel.abort()
+            if device is not None and self._devices.get(address) is device:
+                self._lose(device, "the connection has ended")
 
-    def _feed(self, client: Client) -> None:
+    async def _greet(self, channel: Channel) -> DeviceDescription:
+        """What a worker drives, if its kernels are ours."""
+        joined: Joined = await asyncio.wait_for(channel.receive(), JOIN_SECONDS)
+        if joined.kernel_hash != kernel_hash():
+            raise _LeftOutError(
+                f"worker {joined.device.id} is left out: its kernels (version {joined.version}) are not those of this service"
+            )
+        return joined.device
+
+    def _feed(self) -> None:
         # One lease each in turn, so that the last ones spread over the devices.
         for _ in range(IN_FLIGHT):
             for device in list(self._devices.values()):
                 if not device.hung and len(device.held) < IN_FLIGHT:
-                    self._feed_one(client, device)
+                    self._feed_one(device)
 
-    def _feed_one(self, client: Client, device: RemoteDevice) -> None:
+    def _feed_one(self, device: RemoteDevice) -> None:
         held = self._sources.take(device.description)
         if held is None:
             return
         if not device.held:
             device.hear()  # silence counts from now on
         carried = device.held[held.lease.id] = Carried(held.lease, held.source)
-        carried.task = self._spawn(self._carry(client, device, carried))
+        carried.task = self._spawn(self._carry(device, carried))
 
-    async def _carry(self, client: Client, device: RemoteDevice, carried: Carried) -> None:
-        """Take a lease to its worker and the answer to its job."""
+    async def _carry(self, device: RemoteDevice, carried: Carried) -> None:
+        """Take a lease to its worker."""
         try:
             contents = await self._publisher.contents_of(carried.lease.spec)
         except (OSError, NotPortableError) as error:
@@ -247,34 +259,20 @@ class DaskEngine:
                 device, LeaseFailure(carried.lease.id, kind, f"the scene cannot be published: {error}")
             )
             return
-        self._leases += 1
-        future = client.submit(
-            do_lease,
-            FarmLease(carried.lease, contents, self._topic),
-            key=f"{self._topic}-{self._leases}",
-            workers=[device.address],
-            pure=False,
-        )
         try:
-            self._answered(device, await future.result())
-        except Exception as error:
-            if device.held.get(carried.lease.id) is carried:
-                reason = (
-                    f"the worker of device {device.description.id} failed: {type(error).__name__}: {error}"
-                )
-                self._answered(device, LeaseLost(carried.lease.id, device.description.id, False, reason))
-        finally:
-            future.release()
+            await device.channel.send(FarmLease(carried.lease, contents))
+        except OSError as error:
+            reason = f"the worker of device {device.description.id} is out of reach: {error}"
+            self._answered(device, LeaseLost(carried.lease.id, device.description.id, False, reason))
 
-    def _scene_loaded(self, event: dict[str, Any]) -> None:
-        loaded = loaded_from_event(event)
-        device = self._devices.get(str(event.get("worker")))
-        if device is None:
+    def _hear(self, device: RemoteDevice, message: SceneLoaded | Answer) -> None:
+        if not isinstance(message, SceneLoaded):
+            self._answered(device, message)
             return
         device.hear()
-        source = next((c.source for c in device.held.values() if c.lease.job == loaded.job), None)
+        source = next((c.source for c in device.held.values() if c.lease.job == message.job), None)
         if source is not None:
-            self._sources.deliver(source, device.description, loaded)
+            self._sources.deliver(source, device.description, message)
 
     def _answered(self, device: RemoteDevice, answer: Answer) -> None:
         device.hear()
@@ -314,11 +312,12 @@ class DaskEngine:
             log.warning("worker %s does not answer", device.description.id)
             self._take_back(device, f"the worker of device {device.description.id} did not answer in time")
 
-    def _lose(self, devices: Iterable[RemoteDevice], reason: str) -> None:
-        """Workers are out of reach: their leases go back to their jobs."""
-        for device in devices:
-            self._devices.pop(device.address, None)
-            self._take_back(device, reason)
+    def _lose(self, device: RemoteDevice, reason: str) -> None:
+        """A worker is out of reach: its leases go back to their jobs."""
+        if not self._stopping:
+            log.warning("worker %s: %s", device.description.id, reason)
+        self._devices.pop(device.address, None)
+        self._take_back(device, f"the worker of device {device.description.id} is out of reach: {reason}")
 
     def _take_back(self, device: RemoteDevice, reason: str) -> None:
         held = list(device.held.values())

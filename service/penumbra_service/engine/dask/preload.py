@@ -1,7 +1,7 @@
 """Makes a plain Dask worker a worker of a farm: `dask worker URL --preload penumbra_service.engine.dask.preload`.
 
 For launchers that start Dask's own workers, such as dask-jobqueue; elsewhere `penumbra worker` is the way. Give it
---no-nanny and --nthreads 2, the leases in flight. PENUMBRA_DEVICES names the OpenCL device (default: the machine's first),
+--no-nanny. PENUMBRA_DEVICES names the OpenCL device (default: the machine's first),
 PENUMBRA_ARTIFACTS_URL the artifact store where leases name it otherwise than it is reached from here.
 """
 
@@ -15,7 +15,7 @@ from typing import Final
 from distributed import Worker
 from penumbra_kernels import cache
 
-from penumbra_service.engine.dask.agent import Agent, set_agent
+from penumbra_service.engine.dask.agent import Agent
 from penumbra_service.engine.local import NoDeviceError, list_devices
 from penumbra_service.store.contents import contents_url
 
@@ -48,8 +48,8 @@ async def dask_setup(worker: Worker) -> None:
         contents=contents_url(store) if store else None,
         on_lost=lost,
     )
-    set_agent(agent)
     agent.start()
+    agent.join(worker)
     _AGENTS[worker.id] = agent
 
 

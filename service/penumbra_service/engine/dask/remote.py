@@ -10,6 +10,7 @@ from typing import Final
 
 from penumbra_scene.job import DeviceState, DeviceStatus
 
+from penumbra_service.engine.dask.channel import Channel
 from penumbra_service.engine.protocol import DeviceDescription
 from penumbra_service.engine.rate import RunningRate
 from penumbra_service.engine.sources import Held
@@ -28,6 +29,7 @@ class Carried(Held):
     """A lease on its way to a worker and back."""
 
     task: asyncio.Task[None] | None = None
+    """Takes it there."""
 
 
 @dataclass
@@ -37,6 +39,7 @@ class RemoteDevice:
     address: str
     """Of the worker, as Dask names it."""
     description: DeviceDescription
+    channel: Channel
     held: OrderedDict[str, Carried] = field(default_factory=OrderedDict)
     heard: float = field(default_factory=time.monotonic)
     unanswered: int = 0

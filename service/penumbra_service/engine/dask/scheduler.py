@@ -20,11 +20,8 @@ from penumbra_service.engine.dask.config import settle
 from penumbra_service.settings import SettingsError, is_loopback
 
 STATUS_PORT: Final = 8787
-CONFIG: Final = {
-    # Leases are pinned: there is nothing to steal, and no task to be suspected of killing its worker.
-    "distributed.scheduler.work-stealing": False,
-    "distributed.scheduler.allowed-failures": 1_000_000,
-}
+CONFIG: Final = {"distributed.scheduler.work-stealing": False}
+"""There are no tasks to be stolen."""
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
-"""What the service and a worker say to each other through Dask: plain picklable values, never scenes."""
+"""What the service and a worker say to each other: plain picklable values, never scenes."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from penumbra_service.engine.protocol import (
     DeviceDescription,
@@ -14,7 +14,6 @@ from penumbra_service.engine.protocol import (
     LeaseLost,
     LeaseResult,
     RenderSpec,
-    SceneLoaded,
 )
 from penumbra_service.store.content import asset_file
 from penumbra_service.store.contents import ContentStore, digest_of
@@ -45,8 +44,6 @@ class FarmLease:
 
     lease: Lease
     contents: Contents
-    topic: str
-    """Where the worker tells that the scene is loaded."""
 
 
 @dataclass(frozen=True)
@@ -77,18 +74,3 @@ def publish(spec: RenderSpec, store: ContentStore, url: str) -> Contents:
 def _asset(spec: RenderSpec, sha256: str) -> Path | None:
     file = None if spec.assets_folder is None else asset_file(Path(spec.assets_folder), sha256)
     return file if file is not None and file.is_file() else None
-
-
-def loaded_to_event(worker: str, loaded: SceneLoaded) -> dict[str, Any]:
-    """As a message of plain words and numbers, which is what Dask's events are. `worker`: its address."""
-    return {"worker": worker, "loaded": asdict(loaded)}
-
-
-def loaded_from_event(message: dict[str, Any]) -> SceneLoaded:
-    """Back from loaded_to_event. Raises KeyError, TypeError for anything else."""
-    fields = dict(message["loaded"])
-    fields["effects"] = tuple(
-        (str(name), bool(present), str(why), None if pointer is None else str(pointer))
-        for name, present, why, pointer in fields["effects"]
-    )
-    return SceneLoaded(**fields)

@@ -1,8 +1,8 @@
 """The process of one farm worker: `python -m penumbra_service.engine.dask.worker --scheduler URL --device ID ...`.
 
-A Dask worker with as many threads as leases are in flight, and an agent that drives one OpenCL device in a child
-process. There is no Dask nanny: `penumbra worker` (supervisor.py) starts this process, and again when it ends, which
-Dask's own processes do not survive when their scheduler is killed.
+A Dask worker, which runs no tasks, and an agent that drives one OpenCL device in a child process. There is no Dask nanny:
+`penumbra worker` (supervisor.py) starts this process, and again when it ends, which Dask's own processes do not survive when
+their scheduler is killed.
 """
 
 from __future__ import annotations
@@ -24,10 +24,9 @@ from penumbra_kernels.child import die_with
 
 from penumbra_service import logs
 from penumbra_service.engine.dask.addresses import check_scheduler, security
-from penumbra_service.engine.dask.agent import Agent, set_agent
+from penumbra_service.engine.dask.agent import Agent
 from penumbra_service.engine.dask.config import settle
 from penumbra_service.engine.launch import DEVICE_COMMAND
-from penumbra_service.jobs.dispatch import IN_FLIGHT
 from penumbra_service.settings import SettingsError
 
 log = logging.getLogger(__name__)
@@ -75,10 +74,9 @@ async def _work(options: argparse.Namespace) -> int:
         command=options.device_command or DEVICE_COMMAND,
         on_lost=lost,
     )
-    set_agent(agent)
     agent.start()
     try:
-        await _serve(scheduler, options, leave)
+        await _serve(scheduler, options, agent, leave)
     finally:
         await asyncio.to_thread(agent.stop)
     if reasons:
@@ -86,21 +84,22 @@ async def _work(options: argparse.Namespace) -> int:
     return NO_DEVICE if reasons else 0
 
 
-async def _serve(scheduler: str, options: argparse.Namespace, leave: asyncio.Event) -> None:
+async def _serve(scheduler: str, options: argparse.Namespace, agent: Agent, leave: asyncio.Event) -> None:
     """A Dask worker until it is told to leave or its scheduler is gone."""
     plain = scheduler.startswith("tcp:")
     with tempfile.TemporaryDirectory(prefix="penumbra-worker-") as folder:
         worker = Worker(
             scheduler,
-            nthreads=IN_FLIGHT,
+            nthreads=1,
             host="127.0.0.1" if plain else options.host,
             port=options.port,
             security=security(None if plain else options.tls, "worker"),
             dashboard_address=f"127.0.0.1:{options.status_port}",  # it asks nobody who he is
             local_directory=folder,
-            memory_limit=0,  # answers are fetched at once: nothing is to be spilled, no device to be paused
+            memory_limit=0,  # no data is kept here: nothing is to be spilled, no device to be paused
             death_timeout=CONNECT_SECONDS,
         )
+        agent.join(worker)
         async with worker:
             ended = asyncio.ensure_future(worker.finished())
             told = asyncio.ensure_future(leave.wait())
