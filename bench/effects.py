@@ -183,8 +183,8 @@ def check_noise(scene: Scene, own: Tracer, measuring: Tracer) -> NoiseCheck | No
 
 def million(device: Device) -> Turns:
     """A million still triangles: alone; with a square that stands still ('square'), as an instance of its own ('instance'), and
-    that moves half its way to either side, so that it covers as much ('moving'); 'motion': the still scene by a program that
-    could move things."""
+    that moves half its way to either side, so that it covers as much ('moving'), and turns as well ('turning'); 'motion': the
+    still scene by a program that could move things."""
     meshes = HeldMeshes()
     base: dict[str, Any] = {
         "version": 1,
@@ -199,13 +199,13 @@ def million(device: Device) -> Turns:
     }
     mesh = {"type": "mesh", "source": meshes.add(*knot(1_000_000))}
     square = {"type": "quad", "origin": [-2.4, -2.4, 0], "u": [0.5, 0, 0], "v": [0, 0.5, 0]}
-    move = {"keyframes": [{"time": t, "transform": [{"translate": [t - 0.5, 0, 0]}]} for t in (0, 1)]}
     copy = {"type": "instance", "prototype": "square"}
     shapes = {
         "alone": [mesh],
         "square": [mesh, square],
         "instance": [mesh, copy],
-        "moving": [mesh, {**square, "transform": move}],
+        "moving": [mesh, {**square, "transform": motion(0)}],
+        "turning": [mesh, {**square, "transform": motion(10)}],
     }
     trees = Trees()
     compiled = {
@@ -223,6 +223,16 @@ def million(device: Device) -> Turns:
     plan = SamplePlan(REPLICATES, 8)
     tracers = {name: Tracer(device, scene, plan) for name, scene in compiled.items()}
     return Turns(tracers, Scene.model_validate(base), MILLION_TURNS)
+
+
+def motion(degrees: float) -> dict[str, Any]:
+    """A metre along x while the shutter is open, and so many degrees about z."""
+
+    def at(time: float) -> list[dict[str, Any]]:
+        angle = degrees * (time - 0.5)
+        return [{"rotate": {"axis": [0, 0, 1], "angle": angle}}, {"translate": [time - 0.5, 0, 0]}]
+
+    return {"keyframes": [{"time": time, "transform": at(time)} for time in (0, 1)]}
 
 
 def with_motion(features: Features) -> Features:
@@ -308,6 +318,11 @@ def expected(device: Device, rows: Sequence[Row], compiler: ColdCompiler, folder
             "the same: the square moves, against the square that stands still",
             "< 10 %",
             triangles.ratio("moving", "square").more(),
+        ),
+        (
+            "the same: it turns by 10 degrees as well",
+            "< 10 %",
+            triangles.ratio("turning", "square").more(),
         ),
         ("warm start: a device's process is ready", "", f"{ready:.2f} s"),
         ("from there to the first 8 samples of 64 x 64 pixels on the film", "< 0.5 s", f"{sample:.2f} s"),

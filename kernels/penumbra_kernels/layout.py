@@ -113,8 +113,11 @@ INSTANCE: Final = np.dtype(
             np.uint32,
         ),  # a motion within the prototype, applied before the instance's own
         ("inner_keyframe_count", np.uint32),
-        ("pad0", np.uint32),
-        ("pad1", np.uint32),
+        # 1: its keyframes differ in their translation alone, and the linear parts above hold at all times
+        ("slides", np.uint32),
+        # of what moves: the node whose box k holds it in the k-th of MOTION_BOXES even parts of the time that its keyframes
+        # span (the outer ones, where there are some)
+        ("motion_node", np.uint32),
     ]
 )
 
@@ -352,6 +355,7 @@ STRUCTS: Final[dict[str, np.dtype[Any]]] = {
 
 CONSTANTS: Final[dict[str, int]] = {
     "NONE": 0xFFFFFFFF,
+    "MOTION_BOXES": 8,  # a node's
     "SHAPE_HAS_NORMALS": 1,
     "SHAPE_HAS_UVS": 2,
     "SHAPE_FLIP": 4,  # the transform mirrors: the outside is on the other side of the winding

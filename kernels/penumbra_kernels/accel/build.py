@@ -116,6 +116,15 @@ def instance_word(index: int) -> int:
     return EMPTY_WORD | CONSTANTS["LEAF_INSTANCE"] << CONSTANTS["LEAF_TYPE_SHIFT"] | index
 
 
+def boxes_only(lo: Boxes, hi: Boxes, word: int) -> Tree:
+    """A node that no tree leads to, for its eight boxes (8, 3) alone; the same word under each."""
+    node = np.zeros(1, NODE8)
+    for axis, name in enumerate("xyz"):
+        node[f"lo_{name}"], node[f"hi_{name}"] = lo[:, axis], hi[:, axis]
+    node["child"] = word
+    return Tree(node, word, np.zeros((0, 8), np.int32), np.zeros(0, np.int32), 0)
+
+
 def tree_to_bytes(tree: Tree) -> bytes:
     """For files."""
     header = _HEADER.pack(len(tree.nodes), len(tree.packet_items), tree.root, tree.stack)

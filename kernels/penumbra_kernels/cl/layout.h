@@ -1,6 +1,7 @@
 // Generated from layout.py by `python -m penumbra_kernels.layout`: edit that, not this.
 
 #define NONE 4294967295u
+#define MOTION_BOXES 8u
 #define SHAPE_HAS_NORMALS 1u
 #define SHAPE_HAS_UVS 2u
 #define SHAPE_FLIP 4u
@@ -145,8 +146,8 @@ typedef struct {
   uint object_id;
   uint inner_first_keyframe;
   uint inner_keyframe_count;
-  uint pad0;
-  uint pad1;
+  uint slides;
+  uint motion_node;
 } Instance;
 // sizeof(Instance) == 128
 

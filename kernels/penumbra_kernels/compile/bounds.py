@@ -29,17 +29,11 @@ def padded(lo: NDArray[Any], hi: NDArray[Any]) -> tuple[Boxes, Boxes]:
     return lo32 - pad, hi32 + pad
 
 
-def _corners(lo: Points, hi: Points) -> Points:
-    return np.array(
-        [[(lo, hi)[k][axis] for axis, k in enumerate(ks)] for ks in itertools.product((0, 1), repeat=3)]
-    )
-
-
 def transformed(lo: Points, hi: Points, matrix: Points) -> tuple[Points, Points]:
-    """The box around a box (3,) after a 4x4 matrix."""
+    """The boxes around boxes (..., 3) after a 4x4 matrix."""
     center, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
-    middle = matrix[:3, :3] @ center + matrix[:3, 3]
-    extent = np.abs(matrix[:3, :3]) @ half
+    middle = center @ matrix[:3, :3].T + matrix[:3, 3]
+    extent = half @ np.abs(matrix[:3, :3]).T
     return middle - extent, middle + extent
 
 
@@ -70,25 +64,48 @@ def _between(a: Pose, b: Pose, half_turn: float, t: Points) -> tuple[Points, Poi
     return linear @ stretch, (1.0 - t)[:, None] * a.translation + t[:, None] * b.translation
 
 
-def swept(lo: Points, hi: Points, transform: Transform, first: float, last: float) -> tuple[Points, Points]:
-    """The box around everything that a box (3,) passes through over [first, last] (absolute seconds).
+def _reach(lo: Points, hi: Points, linear: Points) -> Points:
+    """(n,) distance from the origin of the farthest corner of boxes (n, 3) after a matrix (3, 3)."""
+    corners = np.stack([np.where(pick, hi, lo) for pick in itertools.product((False, True), repeat=3)])
+    return np.asarray(np.linalg.norm(corners @ linear.T, axis=-1).max(axis=0))
+
+
+def _swept_between(
+    a: Pose, b: Pose, lo: Points, hi: Points, first: Points, last: Points
+) -> tuple[Points, Points]:
+    """As `swept`, for the way from one pose to the next; inside out where it is not of the interval."""
+    half_turn, span = _half_turn(a.rotation, b.rotation), b.time - a.time
+    begin, end = (np.clip((t - a.time) / span, 0.0, 1.0) for t in (first, last))
+    w, longest = 2.0 * half_turn, float((end - begin).max())
+    steps = max(1, math.ceil(w * longest / STEP_ANGLE))
+    t = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, steps + 1)
+    linear, translation = _between(a, b, half_turn, t.reshape(-1))
+    size = np.maximum(_reach(lo, hi, a.stretch), _reach(lo, hi, b.stretch))
+    change = _reach(lo, hi, b.stretch - a.stretch)
+    sagitta = (w * w * size + 2.0 * w * change) * (longest / steps) ** 2 / 8.0
+    looks = (len(lo), steps + 1, 3)
+    center, half = (np.repeat(x, steps + 1, axis=0)[..., None] for x in (0.5 * (lo + hi), 0.5 * (hi - lo)))
+    middle = ((linear @ center)[..., 0] + translation).reshape(looks)
+    extent = (np.abs(linear) @ half).reshape(looks) + sagitta[:, None, None]
+    apart = ((last < a.time) | (first > b.time))[:, None]
+    return (
+        np.where(apart, np.inf, (middle - extent).min(axis=1)),
+        np.where(apart, -np.inf, (middle + extent).max(axis=1)),
+    )
+
+
+def swept(lo: Points, hi: Points, transform: Transform, first: Points, last: Points) -> tuple[Points, Points]:
+    """The boxes (n, 3) around all that boxes (n, 3) pass through, each from its first to its last time (n,), absolute
+    seconds.
 
     Between two looks at distance h (as a fraction of the segment) the path p = T + R S x of a corner stays
     within max |p''| h^2 / 8 of the chord; with the segment's angle w, |p''| <= w^2 |S x| + 2 w |S1 x - S0 x|.
     """
-    poses = poses_of(transform, first, last)
-    out_lo, out_hi = transformed(lo, hi, poses[0].matrix())
-    corners = _corners(lo, hi)
-    center, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
-    for a, b in itertools.pairwise(poses):
-        half_turn = _half_turn(a.rotation, b.rotation)
-        w = 2.0 * half_turn
-        steps = max(1, math.ceil(w / STEP_ANGLE))
-        size = max(float(np.linalg.norm(corners @ s.T, axis=1).max()) for s in (a.stretch, b.stretch))
-        change = float(np.linalg.norm(corners @ (b.stretch - a.stretch).T, axis=1).max())
-        sagitta = (w * w * size + 2.0 * w * change) / (8.0 * steps * steps)
-        linear, translation = _between(a, b, half_turn, np.linspace(0.0, 1.0, steps + 1))
-        middle, extent = linear @ center + translation, np.abs(linear) @ half + sagitta
-        out_lo = np.minimum(out_lo, (middle - extent).min(axis=0))
-        out_hi = np.maximum(out_hi, (middle + extent).max(axis=0))
-    return out_lo, out_hi
+    poses = poses_of(transform, float(first.min()), float(last.max()))
+    boxes = [_swept_between(a, b, lo, hi, first, last) for a, b in itertools.pairwise(poses)]
+    # Before its first pose and after its last it stands still.
+    for pose, there in ((poses[0], first <= poses[0].time), (poses[-1], last >= poses[-1].time)):
+        pose_lo, pose_hi = transformed(lo, hi, pose.matrix())
+        where = there[:, None] | (len(poses) == 1)
+        boxes.append((np.where(where, pose_lo, np.inf), np.where(where, pose_hi, -np.inf)))
+    return np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)

@@ -20,12 +20,19 @@ from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Sphere
 
 from penumbra_kernels.accel.binary import SWEEP_LIMIT
-from penumbra_kernels.accel.build import MAX_STACK, Tree, instance_word
+from penumbra_kernels.accel.build import MAX_STACK, Tree, boxes_only, instance_word
 from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import Assets
 from penumbra_kernels.compile import bounds
 from penumbra_kernels.compile.materials import BLACK_MATERIAL, DEFAULT_MATERIAL
-from penumbra_kernels.compile.placement import Motion, Shutter, is_deformed, static_motion
+from penumbra_kernels.compile.placement import (
+    Motion,
+    Shutter,
+    is_deformed,
+    shutter_parts,
+    slide,
+    static_motion,
+)
 from penumbra_kernels.compile.primitives import (
     NONE,
     Growing,
@@ -245,30 +252,50 @@ class _Compiler:
         record = np.zeros((), INSTANCE)
         record["root"] = part.root
         record["object_id"] = object_id
-        matrix = outer.start if outer.moves or part.inner.moves else outer.start @ part.inner.start
-        record["world_from_object"] = matrix[:3]
-        record["object_from_world"] = np.linalg.inv(matrix)[:3]
-        inner_counts = part.inner.moves or (outer.moves and not part.inner.is_identity)
-        if outer.moves:
-            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(outer)
-        if inner_counts:
-            record["inner_first_keyframe"], record["inner_keyframe_count"] = self._add_keyframes(part.inner)
-        lo, hi = part.inner.sweep(part.lo, part.hi) if inner_counts else (part.lo, part.hi)
-        if outer.moves:
-            lo, hi = outer.sweep(lo, hi)
-        else:
-            lo, hi = bounds.transformed(lo, hi, outer.start if inner_counts else matrix)
+        matrix = self._set_motion(record, outer, part.inner)
         # Coming into the object's frame rounds the ray's origin, the more the further the object's frame is
         # off.
         offset = np.abs(matrix[:3, :3]) @ np.abs(record["object_from_world"][:, 3].astype(np.float64))
         pad = bounds.BOX_SLACK * (offset + np.abs(matrix[:3, 3]))
+        if outer.moves or part.inner.moves:
+            lo, hi = self._sweep(record, outer, part)
+            record["motion_node"] = self.nodes
+            boxes = bounds.padded(lo - pad, hi + pad)
+            self._append(boxes_only(*boxes, instance_word(len(self.instances))))
+        else:
+            lo, hi = (x[None] for x in bounds.transformed(part.lo, part.hi, matrix))
         index = len(self.instances)
         self.instances.append(record)
-        self.placed.append((lo - pad, hi + pad, instance_word(index)))
+        self.placed.append((lo.min(axis=0) - pad, hi.max(axis=0) + pad, instance_word(index)))
         return index
 
-    def _add_keyframes(self, motion: Motion) -> tuple[int, int]:
-        keys = motion.keyframes()
+    def _sweep(self, record: NDArray[Any], outer: Motion, part: _Part) -> tuple[NDArray[np.float64], ...]:
+        """(MOTION_BOXES, 3) lower and upper corners of what a moving instance passes through, part by part of the time that
+        its keyframes span."""
+        which = "" if record["keyframe_count"] else "inner_"
+        first, count = int(record[f"{which}first_keyframe"]), int(record[f"{which}keyframe_count"])
+        times = shutter_parts(self.shutter, self.keyframes.array[first : first + count])
+        lo, hi = (np.broadcast_to(x, (len(times[0]), 3)) for x in (part.lo, part.hi))
+        return outer.sweep(*part.inner.sweep(lo, hi, times), times)
+
+    def _set_motion(self, record: NDArray[Any], outer: Motion, inner: Motion) -> NDArray[np.float64]:
+        """Write an instance's matrices and keyframes; returns the one that it has at the shutter's opening."""
+        together = slide(outer, inner)
+        apart = together is None and (outer.moves or inner.moves)
+        matrix = outer.start if apart else outer.start @ inner.start
+        record["world_from_object"] = matrix[:3]
+        record["object_from_world"] = np.linalg.inv(matrix)[:3]
+        if together is not None:
+            record["slides"] = 1
+            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(together)
+        if apart and outer.moves:
+            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(outer.keyframes())
+        if apart and (inner.moves or not inner.is_identity):
+            keys = inner.keyframes()
+            record["inner_first_keyframe"], record["inner_keyframe_count"] = self._add_keyframes(keys)
+        return matrix
+
+    def _add_keyframes(self, keys: NDArray[Any]) -> tuple[int, int]:
         return self.keyframes.append(keys), len(keys)
 
     def _instance(self, instance: Instance, scene_shape: int, where: str) -> None:
@@ -315,7 +342,7 @@ class _Compiler:
         )
         if motion.moves:
             record = self.vertices.planes[index]
-            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(motion)
+            record["first_keyframe"], record["keyframe_count"] = self._add_keyframes(motion.keyframes())
         self._note(plane, scene_shape, (PRIMITIVE_PLANE, index, 1), NONE, [motion])
 
     def _tree(self, items: TreeItems) -> Tree:

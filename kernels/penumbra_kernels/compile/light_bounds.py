@@ -160,8 +160,8 @@ def point_bounds(
     """A point light at a position in its own frame, or a spot light with its (inner, outer) half angles; record: its
     LIGHT."""
     own = np.asarray(position, np.float64)
-    lo, hi = motion.sweep(own, own)
-    center, radius = _sphere_around(lo, hi)
+    lo, hi = motion.sweep(own[None], own[None])
+    center, radius = _sphere_around(lo[0], hi[0])
     if cone is None or motion.moves:
         return _near(center, radius, NO_AXIS, math.pi, HALF, intensity)
     inner, outer = cone

@@ -12,8 +12,19 @@ from numpy.typing import NDArray
 from penumbra_scene.shapes import Mesh, MeshKeyframe
 
 from penumbra_kernels.compile import bounds
-from penumbra_kernels.compile.transforms import ORIGIN, Transform, keyframes_of, matrix_at, poses_of, shifted
-from penumbra_kernels.layout import KEYFRAME
+from penumbra_kernels.compile.transforms import (
+    ORIGIN,
+    Pose,
+    Transform,
+    keyframe_records,
+    keyframes_of,
+    matrix_at,
+    pose_of,
+    poses_of,
+    shifted,
+    slides,
+)
+from penumbra_kernels.layout import CONSTANTS, KEYFRAME
 
 Matrix = NDArray[np.float64]
 Point = NDArray[np.float64]
@@ -65,11 +76,13 @@ class Motion:
     def is_identity(self) -> bool:
         return not self.moves and np.array_equal(self.start, np.eye(4))
 
-    def sweep(self, lo: Point, hi: Point) -> tuple[Point, Point]:
-        """The box around all that a box (3,) passes through."""
+    def sweep(self, lo: Point, hi: Point, times: tuple[Point, Point] | None = None) -> tuple[Point, Point]:
+        """The boxes around all that boxes (n, 3) pass through while the shutter is open, or from first to last times (n,),
+        absolute seconds."""
         if self.transform is None or self.shutter is None or self.anchor is None:
             return bounds.transformed(lo, hi, self.start)
-        lo, hi = bounds.swept(lo, hi, self.transform, self.shutter.first, self.shutter.last)
+        first, last = times or (np.full(len(lo), t) for t in (self.shutter.first, self.shutter.last))
+        lo, hi = bounds.swept(lo, hi, self.transform, first, last)
         return lo - self.anchor, hi - self.anchor
 
     def keyframes(self) -> NDArray[Any]:
@@ -80,6 +93,43 @@ class Motion:
             assert keys is not None
             return keys
         return _still_keyframe(self.start)
+
+
+def slide(outer: Motion, inner: Motion) -> NDArray[Any] | None:
+    """(n,) of KEYFRAME of the two together, the inner one applied first, where one stands still and the other moves without
+    turning or stretching; None otherwise."""
+    if outer.moves == inner.moves:
+        return None
+    moving = outer if outer.moves else inner
+    transform, shutter, anchor = moving.transform, moving.shutter, moving.anchor
+    assert transform is not None
+    assert shutter is not None
+    assert anchor is not None
+    poses = poses_of(transform, shutter.first, shutter.last)
+    if not slides(poses):
+        return None
+    matrices = [shifted(pose.matrix(), anchor) for pose in poses]
+    together = [m @ inner.start if outer.moves else outer.start @ m for m in matrices]
+    first = pose_of(shutter.first, together[0])
+    return keyframe_records(
+        [
+            Pose(pose.time, matrix[:3, 3], first.rotation, first.stretch)
+            for pose, matrix in zip(poses, together, strict=True)
+        ],
+        shutter.time,
+    )
+
+
+def shutter_parts(shutter: Shutter, keys: NDArray[Any]) -> tuple[Point, Point]:
+    """First and last times (n,), absolute seconds, of the MOTION_BOXES even parts of the time that keyframes span, as a
+    device tells them apart by the times that these have in float32; the outer ones reach to the shutter's ends."""
+    begin, end = (float(keys["time"][i]) for i in (0, -1))
+    edges = np.linspace(begin, end, CONSTANTS["MOTION_BOXES"] + 1)
+    # Keyframes' times and the ray's are rounded, and so is the quotient that picks the part.
+    margin = 4.0 * float(np.spacing(np.float32(max(abs(begin), abs(end))))) + 1e-3 * (edges[1] - edges[0])
+    first, last = edges[:-1] - margin, edges[1:] + margin
+    first[0], last[-1] = min(first[0], shutter.open), max(last[-1], shutter.close)
+    return shutter.time + first, shutter.time + last
 
 
 def static_motion(matrix: Matrix) -> Motion:

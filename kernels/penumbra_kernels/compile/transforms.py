@@ -137,8 +137,9 @@ class Pose:
         return out
 
 
-def _pose(time: float, matrix: Array) -> Pose:
-    """Polar decomposition (Shoemake and Duff 1992); where the matrix mirrors, both factors change sign."""
+def pose_of(time: float, matrix: Array) -> Pose:
+    """The pose of a 4x4 matrix, by polar decomposition (Shoemake and Duff 1992); where it mirrors, both factors change
+    sign."""
     rotation, stretch = polar(matrix[:3, :3])
     if np.linalg.det(rotation) < 0.0:
         rotation, stretch = -rotation, -stretch
@@ -204,7 +205,16 @@ def _between(a: Pose, b: Pose, time: float) -> Pose:
         time,
         (1.0 - t) * a.translation + t * b.translation,
         _slerp(a.rotation, b.rotation, t),
-        (1.0 - t) * a.stretch + t * b.stretch,
+        a.stretch if np.array_equal(a.stretch, b.stretch) else (1.0 - t) * a.stretch + t * b.stretch,
+    )
+
+
+def slides(poses: Sequence[Pose]) -> bool:
+    """Whether the translation is all that changes from pose to pose."""
+    first = poses[0]
+    return all(
+        np.array_equal(pose.rotation, first.rotation) and np.array_equal(pose.stretch, first.stretch)
+        for pose in poses
     )
 
 
@@ -223,15 +233,15 @@ def poses_of(transform: Transform, first: float, last: float) -> list[Pose]:
     shorter arc. One pose where nothing moves.
     """
     if not isinstance(transform, Keyframes):
-        return [_pose(first, matrix_of(transform))]
+        return [pose_of(first, matrix_of(transform))]
     needed = transform.keyframes[_needed(transform, first, last)]
     matrices = [matrix_of(k.transform) for k in needed]
     if first == last or all(np.array_equal(m, matrices[0]) for m in matrices):
-        return [_pose(first, matrix_at(transform, first))]
-    poses = [_pose(needed[0].time, matrices[0])]
+        return [pose_of(first, matrix_at(transform, first))]
+    poses = [pose_of(needed[0].time, matrices[0])]
     for before, keyframe, matrix in zip(needed, needed[1:], matrices[1:], strict=False):
         meant = _turned(keyframe.transform) - _turned(before.transform)
-        poses.append(_aligned(poses[-1], _pose(keyframe.time, matrix), meant))
+        poses.append(_aligned(poses[-1], pose_of(keyframe.time, matrix), meant))
     return _cut(poses, first, last)
 
 
@@ -263,8 +273,8 @@ def matrix_at(transform: Transform, t: float) -> Array:
     start, end = matrix_of(a.transform), matrix_of(b.transform)
     if np.array_equal(start, end):
         return start
-    first = _pose(a.time, start)
-    last = _aligned(first, _pose(b.time, end), _turned(b.transform) - _turned(a.transform))
+    first = pose_of(a.time, start)
+    last = _aligned(first, pose_of(b.time, end), _turned(b.transform) - _turned(a.transform))
     return _between(first, last, t).matrix()
 
 
@@ -299,8 +309,11 @@ def keyframes_of(
     anchor: metres, subtracted from the translations in float64.
     """
     poses = poses_of(transform, time + shutter_open, time + shutter_close)
-    if len(poses) < 2:
-        return None
+    return None if len(poses) < 2 else keyframe_records(poses, time, anchor)
+
+
+def keyframe_records(poses: Sequence[Pose], time: float, anchor: Array = ORIGIN) -> NDArray[Any]:
+    """(n,) of KEYFRAME of n poses at absolute times; see keyframes_of."""
     records = np.zeros(len(poses), KEYFRAME)
     for record, pose in zip(records, poses, strict=True):
         record["rotation"] = pose.rotation

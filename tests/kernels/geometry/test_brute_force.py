@@ -52,8 +52,15 @@ def _transform(rng: np.random.Generator, kind: str, size: float = 5.0) -> Any:
         return _steps(rng, size, False)
     if kind == "stretched":
         return _steps(rng, size, True)
-    stretch = kind == "moving stretched"
     times = [FRAME - 1.0, FRAME + 0.4, FRAME + 0.6, FRAME + 2.0]
+    if kind == "sliding":
+        same = _steps(rng, size, True)
+        return {
+            "keyframes": [
+                {"time": t, "transform": [*same, {"translate": _vector(rng, 0.5 * size)}]} for t in times
+            ]
+        }
+    stretch = kind == "moving stretched"
     return {"keyframes": [{"time": t, "transform": _steps(rng, size, stretch)} for t in times]}
 
 
@@ -124,6 +131,7 @@ CASES = [
     (5, "moving stretched", False, True, True),
     (6, "still", True, False, False),
     (7, "moving stretched", True, True, True),
+    (8, "sliding", False, True, True),
 ]
 
 

@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from penumbra_kernels.compile.transforms import keyframes_of, matrix_at
+from penumbra_kernels.compile.placement import Motion, Shutter, shutter_parts
+from penumbra_kernels.compile.placement import slide as slide_of
+from penumbra_kernels.compile.transforms import Pose, keyframes_of, matrix_at
 from penumbra_kernels.device import Device
 from penumbra_kernels.hardcases.benches.camera import Motions, keyed
+from penumbra_kernels.layout import CONSTANTS, KEYFRAME
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +72,46 @@ def test_inverse_is_good_to_the_condition_number(motions: Motions, scale: float)
     moved = np.einsum("nij,nj->ni", exact, m[:, :, 3].astype(np.float64))
     size = np.abs(exact).max(axis=(1, 2)) * np.abs(m[:, :, 3]).max(axis=1)
     assert (np.abs(out[:, :, 3] + moved).max(axis=1) <= 16 * 2**-24 * conditions * size).all()
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 1.0), (-0.5, 0.25), (1000.0, 1000.001), (3.0, 3.0 + 1e-9)])
+def test_every_instant_is_in_the_part_that_the_device_picks(first: float, last: float) -> None:
+    """The rounding of times counts as much as the parts' length where the shutter is open shortly and late."""
+    shutter = Shutter(1e5, first, last)
+    span = last - first
+    inner = (first + 0.1 * span, first + 0.9 * span)
+    for begin, end in ((first, last), inner):
+        keys = np.zeros(2, KEYFRAME)
+        keys["time"] = begin, end
+        starts, ends = shutter_parts(shutter, keys)
+        exact = np.linspace(first, last, 5001)
+        time = exact.astype(np.float32)
+        parts = np.float32(CONSTANTS["MOTION_BOXES"])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = (time - keys["time"][0]) * (parts / (keys["time"][1] - keys["time"][0]))
+        picked = np.where(part > 0, np.minimum(part, parts - 1), 0).astype(int)
+        assert (1e5 + exact >= starts[picked]).all()
+        assert (1e5 + exact <= ends[picked]).all()
+        assert set(picked) == set(range(8)) or span < 1e-6
+
+
+def test_what_only_slides_says_so_whoever_carries_it() -> None:
+    """By the matrices at each of its keyframes."""
+    slide, turn = keyed((0, []), (1, [{"translate": [1, -2, 3]}])), keyed((0, []), (1, [spin(30)]))
+    placed = keyed((0, [spin(20), {"scale": [1, 2, 3]}])).keyframes[0].transform
+    shutter = Shutter(0.0, 0.25, 0.75)
+
+    def motion(transform: Any) -> Motion:
+        return Motion.of(transform, shutter)
+
+    for outer, inner in ((slide, placed), (placed, slide)):
+        keys = slide_of(motion(outer), motion(inner))
+        assert keys is not None
+        assert list(keys["time"]) == [0.25, 0.75]
+        for key in keys:
+            time = float(key["time"])
+            expected = matrix_at(outer, time) @ matrix_at(inner, time)
+            pose = Pose(time, key["translation"], key["rotation"], key["stretch"][:, :3])
+            np.testing.assert_allclose(pose.matrix(), expected, atol=1e-6)
+    for outer, inner in ((turn, placed), (placed, turn), (slide, slide), (slide, turn), (placed, placed)):
+        assert slide_of(motion(outer), motion(inner)) is None

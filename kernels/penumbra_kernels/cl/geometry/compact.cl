@@ -59,6 +59,23 @@ static inline void cut_axis(const uint near_steps, const uint far_steps, const u
   *leave = MIN(b, *leave);
 }
 
+// Whether the ray meets the box of one child no later than `end`.
+static inline bool meets_box(const __global CompactNode *node, const uint lane, const WideRay *w, const float end) {
+  const uint exponents = node->exponents;
+  const bool back_x = signbit(w->near_r.x), back_y = signbit(w->near_r.y), back_z = signbit(w->near_r.z);
+  const uint lo_x = node->lo_x[lane], hi_x = node->hi_x[lane];
+  const uint lo_y = node->lo_y[lane], hi_y = node->hi_y[lane];
+  const uint lo_z = node->lo_z[lane], hi_z = node->hi_z[lane];
+  float enter = 0.0f, leave = end;
+  cut_axis(back_x ? hi_x : lo_x, back_x ? lo_x : hi_x, 0u, as_float((exponents & 255u) << 23), node->origin[0],
+           w->near_o.x, w->near_r.x, w->far_o.x, w->far_r.x, &enter, &leave);
+  cut_axis(back_y ? hi_y : lo_y, back_y ? lo_y : hi_y, 0u, as_float(((exponents >> 8) & 255u) << 23), node->origin[1],
+           w->near_o.y, w->near_r.y, w->far_o.y, w->far_r.y, &enter, &leave);
+  cut_axis(back_z ? hi_z : lo_z, back_z ? lo_z : hi_z, 0u, as_float(((exponents >> 16) & 255u) << 23), node->origin[2],
+           w->near_o.z, w->near_r.z, w->far_o.z, w->far_r.z, &enter, &leave);
+  return enter <= leave;
+}
+
 // The nearest child that is met, or NO_CHILD; the others wait on the stack, the second nearest on its top.
 static inline uint visit_node(const SceneData *scene, const __global CompactNode *node, const WideRay *w, const float end,
                               Stack *stack) {

@@ -42,17 +42,38 @@ static inline void rotate_stretch(const float q[4], const float stretch[3][3], f
       out[i][j] = r[i][0] * stretch[0][j] + r[i][1] * stretch[1][j] + r[i][2] * stretch[2][j];
 }
 
+// The keyframes around a time, and what fraction of the way from the one to the other has passed; before the first keyframe and
+// after the last it stands still. count >= 1.
+typedef struct {
+  const __global Keyframe *a, *b;
+  float fraction;
+} Segment;
+
+static inline Segment segment_at(const __global Keyframe *keys, const uint first, const uint count, const float time) {
+  const uint begin = count > 1u ? keyframe_segment(keys, first, count, time) : first;
+  Segment s;
+  s.a = keys + begin;
+  s.b = keys + (count > 1u ? begin + 1u : first);
+  const float span = s.b->time - s.a->time;
+  const float raw = span > 0.0f ? (time - s.a->time) / span : 0.0f;
+  s.fraction = CLAMP01(raw);
+  return s;
+}
+
+// The translation alone, linear between keyframes, into the matrix's last column.
+static inline void segment_translation(const Segment *s, float world_from_object[3][4]) {
+  const float t = s->fraction;
+  for (int i = 0; i < 3; ++i) world_from_object[i][3] = (1.0f - t) * s->a->translation[i] + t * s->b->translation[i];
+}
+
 // World-from-object matrix at a time: translation and stretch linear between keyframes, rotation by slerp along the
-// arc that the host chose; before the first keyframe and after the last it stands still. count >= 1.
+// arc that the host chose.
 static inline void keyframe_matrix(const __global Keyframe *keys, const uint first, const uint count, const float time,
                                    float world_from_object[3][4]) {
-  const uint begin = count > 1u ? keyframe_segment(keys, first, count, time) : first;
-  const uint end = count > 1u ? begin + 1u : first;
-  const __global Keyframe *a = keys + begin;
-  const __global Keyframe *b = keys + end;
-  const float span = b->time - a->time;
-  const float raw = span > 0.0f ? (time - a->time) / span : 0.0f;
-  const float t = CLAMP01(raw);
+  const Segment s = segment_at(keys, first, count, time);
+  const __global Keyframe *a = s.a;
+  const __global Keyframe *b = s.b;
+  const float t = s.fraction;
   const float wa = slerp_weight(1.0f - t, a->stretch[0][3], a->stretch[1][3]);
   const float wb = slerp_weight(t, a->stretch[0][3], a->stretch[1][3]);
   float q[4], stretch[3][3];
@@ -60,7 +81,7 @@ static inline void keyframe_matrix(const __global Keyframe *keys, const uint fir
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) stretch[i][j] = (1.0f - t) * a->stretch[i][j] + t * b->stretch[i][j];
   rotate_stretch(q, stretch, world_from_object);
-  for (int i = 0; i < 3; ++i) world_from_object[i][3] = (1.0f - t) * a->translation[i] + t * b->translation[i];
+  segment_translation(&s, world_from_object);
 }
 
 static inline float3 transform_point(const float m[3][4], const float3 p) {

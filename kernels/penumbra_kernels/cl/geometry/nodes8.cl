@@ -18,6 +18,19 @@ static inline uint meet_boxes(const __global Node8 *node, const WideRay *w, cons
   return lane_mask(*enter <= MIN8(fx, MIN8(fy, MIN8(fz, last))));
 }
 
+// The same for one child: whether the ray meets its box no later than `end`.
+static inline bool meets_box(const __global Node8 *node, const uint lane, const WideRay *w, const float end) {
+  const __global float *p = (const __global float *)node + lane;
+  const float nx = (p[w->near_x] - w->near_ox.s0) * w->near_rx.s0;
+  const float ny = (p[w->near_y] - w->near_oy.s0) * w->near_ry.s0;
+  const float nz = (p[w->near_z] - w->near_oz.s0) * w->near_rz.s0;
+  const float fx = (p[w->near_x ^ 8u] - w->far_ox.s0) * w->far_rx.s0;
+  const float fy = (p[w->near_y ^ 8u] - w->far_oy.s0) * w->far_ry.s0;
+  const float fz = (p[w->near_z ^ 8u] - w->far_oz.s0) * w->far_rz.s0;
+  const float enter = MAX(nx, MAX(ny, MAX(nz, 0.0f)));
+  return enter <= MIN(fx, MIN(fy, MIN(fz, end)));
+}
+
 // Asks for the child's memory, while its siblings are still sorted: large scenes wait for that more than for anything else.
 // Leaves without triangles ask for some packet: a load that is not there costs nothing.
 static inline void prefetch_child(const SceneData *scene, const uint word) {

@@ -34,12 +34,25 @@ static inline void load_affine(const __global float *from, float m[3][4]) {
     for (int j = 0; j < 4; j++) m[i][j] = from[4 * i + j];
 }
 
+// Completes an inverse whose linear part is known.
+static inline void untranslate(const float m[3][4], float inverse[3][4]) {
+  for (int i = 0; i < 3; i++)
+    inverse[i][3] = -(inverse[i][0] * m[0][3] + inverse[i][1] * m[1][3] + inverse[i][2] * m[2][3]);
+}
+
 // World-from-object, then object-from-world. A moving instance may hold another motion within its prototype.
 static inline void instance_matrices(const SceneData *scene, const uint index, const float time,
                                      float world_from_object[3][4], float object_from_world[3][4]) {
   const __global Instance *instance = scene->instances + index;
   load_affine(&instance->world_from_object[0][0], world_from_object);
 #if PENUMBRA_MOTION
+  if (instance->slides) {
+    load_affine(&instance->object_from_world[0][0], object_from_world);
+    const Segment s = segment_at(scene->keyframes, instance->first_keyframe, instance->keyframe_count, time);
+    segment_translation(&s, world_from_object);
+    untranslate(world_from_object, object_from_world);
+    return;
+  }
   if (instance->keyframe_count | instance->inner_keyframe_count) {
     if (instance->keyframe_count)
       keyframe_matrix(scene->keyframes, instance->first_keyframe, instance->keyframe_count, time, world_from_object);

@@ -35,10 +35,31 @@ static inline bool hit_round(const SceneData *scene, const uint word, const Wide
 }
 #endif
 
+#if PENUMBRA_MOTION
+// Whether the ray meets what the instance passes through around the ray's time. That is much less than all that it passes through
+// while the shutter is open, which the tree holds, and far cheaper to ask than where it stands.
+static inline bool meets_moving(const SceneData *scene, const __global Instance *instance, const float time, const WideRay *w,
+                                const float end) {
+  const bool outer = instance->keyframe_count > 0u;
+  const uint first = outer ? instance->first_keyframe : instance->inner_first_keyframe;
+  const uint count = outer ? instance->keyframe_count : instance->inner_keyframe_count;
+  if (count < 2u) return true;
+  const float begin = scene->keyframes[first].time;
+  const float part = (time - begin) * ((float)MOTION_BOXES / (scene->keyframes[first + count - 1u].time - begin));
+  const uint box = part > 0.0f ? (uint)MIN(part, (float)(MOTION_BOXES - 1u)) : 0u;
+  return meets_box(scene->nodes + instance->motion_node, box, w, end);
+}
+#endif
+
 #if PENUMBRA_INSTANCING
-// The ray in an instance's frame; false where it cannot be told apart from none there.
-static inline bool enter_instance(const SceneData *scene, const uint index, const Ray *ray, WideRay *w) {
+// The ray in an instance's frame; false where it misses what the instance passes through, or cannot be told apart from none there.
+// end: how far the ray goes; world: the ray in the world.
+static inline bool enter_instance(const SceneData *scene, const uint index, const Ray *ray, const WideRay *world,
+                                  const float end, WideRay *w) {
   float world_from_object[3][4], object_from_world[3][4];
+#if PENUMBRA_MOTION
+  if (!meets_moving(scene, scene->instances + index, ray->time, world, end)) return false;
+#endif
   instance_matrices(scene, index, ray->time, world_from_object, object_from_world);
   return wide_ray(transform_point(object_from_world, ray->o), transform_vector(object_from_world, ray->d), w);
 }
@@ -61,30 +82,36 @@ static inline bool hit_leaf(const SceneData *scene, const uint word, const WideR
 
 // Offers everything in the world's tree to `best`; with `any`, returns true at the first hit.
 static inline bool traverse(const SceneData *scene, const Ray *ray, const bool any, Hit *best) {
-  WideRay w;
-  if (!wide_ray(ray->o, ray->d, &w)) return false;
+  WideRay world;
+  if (!wide_ray(ray->o, ray->d, &world)) return false;
+  const WideRay *w = &world;
+#if PENUMBRA_INSTANCING
+  WideRay inside;
+#endif
   Stack stack;
   stack.size = 0u;
   uint instance = NONE;
   uint word = scene->root;
   bool found = false;
   for (;;) {
-    while (!(word & LEAF_FLAG)) word = visit_node(scene, scene->nodes + word, &w, best->t, &stack);
+    while (!(word & LEAF_FLAG)) word = visit_node(scene, scene->nodes + word, w, best->t, &stack);
 #if PENUMBRA_INSTANCING
     if (word == BACK_TO_WORLD) {
       instance = NONE;
-      wide_ray(ray->o, ray->d, &w);
+      w = &world;
     } else if (((word >> LEAF_TYPE_SHIFT) & 3u) == LEAF_INSTANCE) {
       const uint index = word & LEAF_INSTANCE_MASK;
-      stack.entries[stack.size++] = stack_entry(BACK_TO_WORLD, 0.0f);
-      if (enter_instance(scene, index, ray, &w)) {
+      if (enter_instance(scene, index, ray, &world, best->t, &inside)) {
+        // Where nothing waits in the world there is no way back.
+        if (stack.size) stack.entries[stack.size++] = stack_entry(BACK_TO_WORLD, 0.0f);
+        w = &inside;
         instance = index;
         word = scene->instances[index].root;
         continue;
       }
     } else
 #endif
-    if (hit_leaf(scene, word, &w, ray->time, instance, any, best)) {
+    if (hit_leaf(scene, word, w, ray->time, instance, any, best)) {
       if (any) return true;
       found = true;
     }
