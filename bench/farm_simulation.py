@@ -8,7 +8,8 @@ living workers together need for them.
 
 Assumptions: speeds are lognormal (sigma 0.6, mean 8 million pixel samples a second); a worker lives 6 h on average,
 is missed after 10 s and replaced after 5 min on average (all exponential); a scene takes 10 s to load; 50 ms pass between an
-answer and the next lease; 8 jobs share the farm, the others wait. Tiles cost up to twice as much as others.
+answer and the next lease; 8 jobs share the farm, the others wait. Pictures have tiles of 256 x 256 pixels and 4,096 samples in
+each of 4 replicates; some tiles cost twice as much as others.
 """
 
 from __future__ import annotations
@@ -43,8 +44,10 @@ LOAD_SECONDS: Final = 10.0
 TURN_SECONDS: Final = 0.05
 AT_ONCE: Final = 8
 URGENT_EVERY: Final = 3600.0
-REPLICATES: Final = 8
+REPLICATES: Final = 4
 SIDE: Final = 256
+SAMPLES: Final = 4096
+"""Of a pixel, in each replicate."""
 JOB_SHARE: Final = 1 / 48
 """Of the farm's day that a job takes on average."""
 URGENT_SHARE: Final = 1 / 1440
@@ -166,9 +169,9 @@ class Farm:
 
     def _arrives(self, now: float, priority: object, _life: int) -> None:
         share = URGENT_SHARE if priority else JOB_SHARE * self._random.uniform(0.3, 1.7)
-        tiles = max(round(self.capacity * 86400 * share / (REPLICATES * SIDE * SIDE * 1024)), 1)
+        tiles = max(round(self.capacity * 86400 * share / (REPLICATES * SIDE * SIDE * SAMPLES)), 1)
         planner = LeasePlanner(REPLICATES, len(self.workers))
-        planner.add(WorkItem(Tile(n * SIDE, 0, SIDE, SIDE), 0, 1024) for n in range(tiles))
+        planner.add(WorkItem(Tile(n * SIDE, 0, SIDE, SIDE), 0, SAMPLES) for n in range(tiles))
         total = planner.ready_samples
         job = Job(f"job {next(self._numbers)}", int(bool(priority)), now, planner, total, total)
         heapq.heappush(self._waiting, (-job.priority, now, next(self._order), job))

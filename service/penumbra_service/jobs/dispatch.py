@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 
 IN_FLIGHT: Final = 2
@@ -59,12 +60,24 @@ def gain_of(relmse: float, theta: float, device_seconds: float) -> float:
     return max(theta, 0.0) * known / max(device_seconds, LEAST_SECONDS)
 
 
+@dataclass(slots=True)
+class _Queue(Generic[S]):
+    """A job's sources, in the order in which they came."""
+
+    arrived: int
+    """When its oldest one came: no two jobs have the same."""
+    head: S
+    """Its oldest one: what the job gains is what that does."""
+    sources: dict[S, int]
+    """And when each came."""
+
+
 class Dispatcher(Generic[S]):
     """Who wants leases, and what devices have loaded. Not thread-safe: its owner holds a lock."""
 
     def __init__(self) -> None:
-        self._frames: dict[str, dict[S, int]] = {}
-        """By job its sources, oldest first, and when each came."""
+        self._queues: dict[str, _Queue[S]] = {}
+        """By job."""
         self._sources: set[S] = set()
         self._arrived = 0
         self._loaded: dict[str, OrderedDict[str, None]] = {}
@@ -72,17 +85,20 @@ class Dispatcher(Generic[S]):
     def attach(self, source: S) -> None:
         """It wants leases from now on, after all that came before."""
         self._sources.add(source)
-        self._frames.setdefault(source.job, {}).setdefault(source, self._arrived)
+        queue = self._queues.setdefault(source.job, _Queue(self._arrived, source, {}))
+        queue.sources.setdefault(source, self._arrived)
         self._arrived += 1
 
     def detach(self, source: S) -> None:
         """It wants none any more."""
         if source in self._sources:
             self._sources.remove(source)
-            frames = self._frames[source.job]
-            del frames[source]
-            if not frames:
-                del self._frames[source.job]
+            queue = self._queues[source.job]
+            del queue.sources[source]
+            if not queue.sources:
+                del self._queues[source.job]
+            elif queue.head is source:
+                queue.head, queue.arrived = next(iter(queue.sources.items()))
 
     def __contains__(self, source: S) -> bool:
         return source in self._sources
@@ -95,10 +111,18 @@ class Dispatcher(Generic[S]):
         if len(self._sources) < 2:
             return list(self._sources)
         loaded: Collection[str] = self._loaded.get(device, ())
+        ranks = []
+        for queue in self._queues.values():  # the farm's inner loop: once for each lease
+            head, frames = queue.head, queue.sources
+            at_hand = head.scene in loaded or (len(frames) > 1 and any(s.scene in loaded for s in frames))
+            gain = head.gain * AFFINITY if at_hand else head.gain
+            ranks.append((-head.priority, -gain, queue.arrived, at_hand, frames))
+        ranks.sort()
         ordered: list[S] = []
-        for *_, at_hand, frames in sorted(self._rank(frames, loaded) for frames in self._frames.values()):
+        for *_, at_hand, frames in ranks:
             # Sorting is stable: those that are loaded, then the others, each in the order in which they came.
-            ordered += sorted(frames, key=lambda s: s.scene not in loaded) if at_hand else frames
+            by_turns = at_hand and len(frames) > 1
+            ordered += sorted(frames, key=lambda s: s.scene not in loaded) if by_turns else frames
         return ordered
 
     def gave(self, device: str, source: S) -> None:
@@ -112,13 +136,3 @@ class Dispatcher(Generic[S]):
     def forget(self, device: str) -> None:
         """The device's process has ended: nothing is loaded any more."""
         self._loaded.pop(device, None)
-
-    def _rank(
-        self, frames: dict[S, int], loaded: Collection[str]
-    ) -> tuple[int, float, int, bool, dict[S, int]]:
-        """A job's (-priority, -gain, arrival), the least first, which no two share; whether one of its scenes is loaded;
-        its frames. It gains what its oldest frame does."""
-        head = next(iter(frames))
-        at_hand = head.scene in loaded or (len(frames) > 1 and any(s.scene in loaded for s in frames))
-        gain = head.gain * (AFFINITY if at_hand else 1.0)
-        return -head.priority, -gain, frames[head], at_hand, frames

@@ -26,6 +26,8 @@ def settle(**more: Any) -> None:
     """Configure Dask in this process, before anything of it starts."""
     dask.config.set({**QUIET, **more})
     logging.getLogger("distributed").setLevel("WARNING")
+    # Where the scheduler cannot be reached the engine says so itself; Dask's client adds pages of tracebacks.
+    logging.getLogger("distributed.client").setLevel("CRITICAL")
     _allow_sockets()
 
 
