@@ -28,3 +28,5 @@ class Exit(IntEnum):
     """The service refused: key missing or wrong, unknown job, over a limit, or a mistake of its own."""
     INTERRUPTED = 130
     """Stopped by Ctrl-C."""
+    TERMINATED = 143
+    """Stopped by SIGTERM."""

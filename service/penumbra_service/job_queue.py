@@ -3,7 +3,7 @@ reports.
 
 Several services may work on one ledger. Each holds what it claimed, and says every BEAT_SECONDS that it lives; what a
 service that has been silent for DEAD_SECONDS held is claimed anew. What another service did to a held job (it was
-cancelled, paused, moved, or taken over) is seen at the next beat. Clocks of such services must agree to a few seconds.
+cancelled, paused, moved, or taken over) is seen at the next beat. Silence is measured by the ledger's clock alone.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -44,7 +45,11 @@ OPEN: Final = (*WAITING, *ACTIVE, JobState.PAUSED)
 RETRY_SECONDS: Final = 5.0
 """Wait of the queue after the ledger could not be read or written."""
 BEAT_SECONDS: Final = 2.0
-DEAD_SECONDS: Final = 30.0
+DEAD_SECONDS: Final = 10.0
+"""A service that was silent for so long is dead, to one that has been in touch with the ledger itself for as long: where the
+ledger was away, all were silent."""
+LONG_DEAD_SECONDS: Final = 30.0
+"""And to one that has just started."""
 LOOK_SECONDS: Final = 2.0
 """How often a queue that shares its ledger looks for jobs that other services took in."""
 
@@ -85,12 +90,14 @@ class JobQueue:
         self._name = new_id()
         self._wake = threading.Condition()
         self._stopping = False
+        self._in_touch: float | None = None
+        """Since when beats have succeeded, by the monotonic clock."""
         self._held: dict[str, Held] = {}
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
         """Puts what a dead service left running back into the queue, and begins to work."""
-        self._release()
+        self._release(LONG_DEAD_SECONDS)
         for number in range(self._settings.slots):
             self._begin(self._work, f"penumbra-queue-{number}")
         self._begin(self._watch, "penumbra-heartbeat")
@@ -236,12 +243,12 @@ class JobQueue:
                 self._wake.wait(patience)
         return None
 
-    def _release(self) -> None:
-        """Puts jobs that say that they run, while nobody runs them, back into the queue."""
-        silent_since = None
-        if self._settings.shared:
-            silent_since = datetime.now(UTC) - timedelta(seconds=DEAD_SECONDS)
-        for row in self._jobs.release(ACTIVE, JobState.QUEUED, silent_since):
+    def _release(self, silent_seconds: float) -> None:
+        """Puts jobs that say that they run, while nobody runs them, back into the queue: where others may run them, those
+        of services that were silent for so long."""
+        for row in self._jobs.release(
+            ACTIVE, JobState.QUEUED, silent_seconds if self._settings.shared else None
+        ):
             log.warning("job %s: the service that held it is gone; it is queued again", row.id)
             self.changed(row)
 
@@ -259,9 +266,12 @@ class JobQueue:
                 self._jobs.beat(self._name, ACTIVE)
                 for entry in held:
                     self._look(entry)
-                if shared and not stopping:
-                    self._release()
+                now = time.monotonic()
+                self._in_touch = now if self._in_touch is None else self._in_touch
+                if shared and not stopping and now - self._in_touch >= DEAD_SECONDS:
+                    self._release(DEAD_SECONDS)
             except Exception:
+                self._in_touch = None
                 log.warning("the ledger cannot be reached", exc_info=True)
 
     def _look(self, held: Held) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import shutil
-from collections.abc import Iterable, Mapping
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from penumbra_scene.check import asset_refs, scene_hash
 from penumbra_scene.job import JobRequest, JobState
@@ -16,6 +20,11 @@ from penumbra_service.engine.snapshot import kernel_hash
 from penumbra_service.frames import thumbnail_file
 from penumbra_service.results import ALL, RECEIPT, THUMBNAIL, frame_folder
 from penumbra_service.running import EndedFrame, Outcome
+
+PREFIX: Final = ".penumbra-"
+LOCK: Final = "lock"
+YOUNG_SECONDS: Final = 60.0
+"""A folder that is no older may be one whose lock is just being taken."""
 
 
 class OutBook:
@@ -58,6 +67,27 @@ class OutBook:
             (self._out / here / RECEIPT).unlink(missing_ok=True)
             move_files(self._work / here, self._out / here, ALL)
         shutil.rmtree(self._work / here, ignore_errors=True)
+
+
+@contextmanager
+def work_folder(out: Path) -> Iterator[Path]:
+    """A folder within `out` for what is not finished, gone at the end; and with it those that killed renders have left."""
+    remove_left(out)
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=out) as name:
+        work = Path(name)
+        with (work / LOCK).open("w") as lock:
+            with suppress(OSError):  # a file system without locks: nobody will take it for left
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield work
+
+
+def remove_left(out: Path) -> None:
+    """Work folders whose process has ended without removing them."""
+    for lock in out.glob(f"{PREFIX}*/{LOCK}"):
+        with suppress(OSError), lock.open("r+") as file:  # OSError: another process is at work there
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if time.time() - lock.stat().st_mtime > YOUNG_SECONDS:
+                shutil.rmtree(lock.parent, ignore_errors=True)
 
 
 def move_files(source: Path, target: Path, names: Iterable[str]) -> None:

@@ -31,7 +31,7 @@ from penumbra_service.engine.status import device_status
 from penumbra_service.engine.task import FixedPlan
 from penumbra_service.film.replicates import Layout
 from penumbra_service.frames import run_frames
-from penumbra_service.out_folder import OutBook, finished_frames, move_files
+from penumbra_service.out_folder import OutBook, finished_frames, move_files, work_folder
 from penumbra_service.picture import Picture, PictureRunner
 from penumbra_service.quoting import make_quote
 from penumbra_service.results import ALL, OF_SEQUENCE
@@ -80,21 +80,21 @@ def render(
     Raises CommandError, OSError.
     """
     with (
-        tempfile.TemporaryDirectory(prefix=".penumbra-", dir=out) as work,
+        work_folder(out) as work,
         local_engine(devices, first=first) as engine,
     ):
         if not request.sequence:
-            receipt = render_on(engine, request, folder, Path(work), report)
-            move_files(Path(work), out, ALL)
+            receipt = render_on(engine, request, folder, work, report)
+            move_files(work, out, ALL)
             return (receipt,)
-        book = OutBook(Path(work), out, {} if anew else finished_frames(request, folder, out))
-        whole = _picture(request, Path(work), report)
+        book = OutBook(work, out, {} if anew else finished_frames(request, folder, out))
+        whole = _picture(request, work, report)
         try:
             outcome = run_frames(
                 _pictures(engine, folder), request, whole, book, frames_at_once(len(engine.usable()))
             )
         finally:
-            move_files(Path(work), out, OF_SEQUENCE)
+            move_files(work, out, OF_SEQUENCE)
         _raise_problem(outcome)
         return tuple(book.receipts[frame] for frame in sorted(book.receipts))
 
@@ -121,11 +121,11 @@ def render_plan(
     Raises CommandError, OSError.
     """
     with (
-        tempfile.TemporaryDirectory(prefix=".penumbra-", dir=out) as work,
+        work_folder(out) as work,
         local_engine(devices) as engine,
     ):
         picture = replace(
-            _picture(JobRequest(scene=scene), Path(work), lambda event: None),
+            _picture(JobRequest(scene=scene), work, lambda event: None),
             layout=layout,
             fixed=fixed,
             time=time,
@@ -133,7 +133,7 @@ def render_plan(
         outcome = _pictures(engine, folder).run(picture)
         _raise_problem(outcome)
         assert outcome.receipt is not None
-        move_files(Path(work), out, ALL)
+        move_files(work, out, ALL)
         return outcome.receipt
 
 

@@ -19,6 +19,7 @@ from penumbra_scene.exits import Exit
 from penumbra_service import logs
 from penumbra_service.app import create_app
 from penumbra_service.engine.launch import Child
+from penumbra_service.http_heads import HeadTimedProtocol
 from penumbra_service.local_runner import LocalRunner, engine_of
 from penumbra_service.settings import Settings, SettingsError
 
@@ -44,6 +45,7 @@ def serve(settings: Settings, first: Child | None = None) -> int:
             access_log=settings.log_level == "debug",
             timeout_graceful_shutdown=_GRACE_SECONDS,
             server_header=False,
+            http=HeadTimedProtocol,
         )
         return _run(_Server(config), listening)
 

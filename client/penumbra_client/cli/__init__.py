@@ -10,10 +10,12 @@ import argparse
 import atexit
 import contextlib
 import os
+import signal
 import sys
 import threading
 from collections.abc import Sequence
 from importlib import import_module
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
 
 from penumbra_scene.exits import Exit
@@ -39,6 +41,7 @@ environment:
 exit status:
   0 done  1 a mistake of Penumbra's own  2 usage  3 invalid scene  4 no service answers  5 the job failed
   6 the job was cancelled  7 device trouble  8 the service refused  130 stopped by Ctrl-C
+  143 stopped by SIGTERM
 
 `penumbra COMMAND --help` explains a command with examples.
 """
@@ -184,6 +187,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def program() -> NoReturn:
     """The program `penumbra`: main, and the end at once. To take an interpreter apart that holds libraries for numbers and
     images takes some 50 ms, which whoever waits for a picture would wait for too."""
+    signal.signal(signal.SIGTERM, _leave)
     code = main()
     if any(not thread.daemon and thread is not threading.main_thread() for thread in threading.enumerate()):
         sys.exit(code)  # which waits for them
@@ -192,6 +196,11 @@ def program() -> NoReturn:
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
     os._exit(code)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """As with Ctrl-C, what is under way cleans up behind it. (Services, workers and schedulers have ways of their own.)"""
+    raise SystemExit(Exit.TERMINATED)
 
 
 def _missing_extra(name: str) -> str | None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any, Final, NamedTuple, Protocol
 
-from sqlalchemy import Select, delete, func, insert, select, update
+from sqlalchemy import Connection, DateTime, Select, delete, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from penumbra_service.store.database import Database
@@ -103,8 +103,9 @@ class JobStore(Protocol):
     def beat(self, holder: str, states: Collection[str]) -> int:
         """The holder lives: tells so for all jobs that it has in these states, and how many those are."""
 
-    def release(self, states: Collection[str], to: str, silent_since: datetime | None) -> list[JobRow]:
-        """Takes jobs in these states from their holders: from those that were silent since then, or from all."""
+    def release(self, states: Collection[str], to: str, silent_seconds: float | None) -> list[JobRow]:
+        """Takes jobs in these states from their holders: from those that were silent for so long by the
+        ledger's clock, or from all."""
 
     def count(self, states: Collection[str]) -> int:
         """How many jobs are in these states."""
@@ -223,7 +224,7 @@ class SqlJobStore:
             if found is None:
                 return None
             now = datetime.now(UTC)
-            held = {"holder": holder, "heartbeat": now, "started": found.started or now}
+            held = {"holder": holder, "heartbeat": _clock(connection), "started": found.started or now}
             change = update(jobs).where(jobs.c.id == found.id)
             connection.execute(change.values(state=to, **held, **_changes({})))
             return _job(connection.execute(_by_id(found.id)).one())
@@ -231,14 +232,15 @@ class SqlJobStore:
     def beat(self, holder: str, states: Collection[str]) -> int:
         held = (jobs.c.holder == holder) & jobs.c.state.in_(states)
         with self._database.write() as connection:
-            return connection.execute(update(jobs).where(held).values(heartbeat=datetime.now(UTC))).rowcount
+            return connection.execute(update(jobs).where(held).values(heartbeat=_clock(connection))).rowcount
 
-    def release(self, states: Collection[str], to: str, silent_since: datetime | None) -> list[JobRow]:
+    def release(self, states: Collection[str], to: str, silent_seconds: float | None) -> list[JobRow]:
         orphans = select(jobs.c.id).where(jobs.c.state.in_(states))
-        if silent_since is not None:
-            orphans = orphans.where((jobs.c.heartbeat < silent_since) | jobs.c.heartbeat.is_(None))
         released = []
         with self._database.write() as connection:
+            if silent_seconds is not None:
+                since = _clock(connection) - timedelta(seconds=silent_seconds)
+                orphans = orphans.where((jobs.c.heartbeat < since) | jobs.c.heartbeat.is_(None))
             for row in connection.execute(orphans.with_for_update(skip_locked=True)).all():
                 change = update(jobs).where(jobs.c.id == row.id)
                 connection.execute(change.values(state=to, holder=None, **_changes({})))
@@ -290,6 +292,13 @@ def _demand_id(job_id: str) -> None:
     """What is no identifier never reaches the database: PostgreSQL takes no text with a NUL."""
     if not is_id(job_id):
         raise NoSuchJobError(job_id)
+
+
+def _clock(connection: Connection) -> Any:
+    """Now, as all who share the ledger see it."""
+    if connection.dialect.name == "sqlite":  # they are on one machine
+        return datetime.now(UTC)
+    return func.clock_timestamp(type_=DateTime(timezone=True))
 
 
 def _by_id(job_id: str) -> Select[Any]:

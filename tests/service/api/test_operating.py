@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -16,6 +18,7 @@ from penumbra_service.app import create_app
 from penumbra_service.running import Outcome, Task
 from penumbra_service.service import RenderService
 from penumbra_service.settings import Settings
+from sqlalchemy.exc import OperationalError
 
 
 def test_a_full_queue_refuses_with_its_limit(
@@ -230,7 +233,7 @@ def test_a_dead_services_job_is_taken_over_and_the_dead_one_cannot_touch_it(
     dead, heir = (0, 1) if job in runners[0].held else (1, 0)
     monkeypatch.setattr(services[dead].jobs, "beat", lambda *_: 0)  # as if it were stopped
     monkeypatch.setattr(services[dead].queue, "_look", lambda *_: None)
-    monkeypatch.setattr(services[dead].queue, "_release", lambda: None)
+    monkeypatch.setattr(services[dead].queue, "_release", lambda *_: None)
     task = runners[dead].held[job]
     monkeypatch.setattr(job_queue, "DEAD_SECONDS", 0.3)
     until(lambda: job in runners[heir].held)
@@ -241,3 +244,38 @@ def test_a_dead_services_job_is_taken_over_and_the_dead_one_cannot_touch_it(
     assert (status["state"], status["progress"]) == ("rendering", 0.5)
     runners[heir].free.add(job)
     until(lambda: clients[dead].get(f"/v1/jobs/{job}").json()["state"] == "done")
+
+
+def test_where_the_ledger_was_away_nobody_is_taken_for_dead(
+    two: tuple[list[TestClient], list[Waiting]],
+    scene: dict[str, Any],
+    until: Callable[[Any], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clients, runners = two
+    services: list[RenderService] = [client.app.state.service for client in clients]  # type: ignore[attr-defined]
+    job = clients[0].post("/v1/jobs", json=scene).json()["id"]
+    until(lambda: job in runners[0].held or job in runners[1].held)
+    holder, other = (0, 1) if job in runners[0].held else (1, 0)
+    monkeypatch.setattr(job_queue, "DEAD_SECONDS", 0.5)
+    away, beats, beat = threading.Event(), Counter[int](), services[other].jobs.beat
+    away.set()
+    monkeypatch.setattr(services[holder].jobs, "beat", lambda *_: 0)  # silent from now on
+
+    def refuse(*words: Any) -> int:
+        beats[away.is_set()] += 1
+        if away.is_set():
+            raise OperationalError("beat", {}, OSError("the server has gone"))
+        return beat(*words)
+
+    monkeypatch.setattr(services[other].jobs, "beat", refuse)
+    released = []
+    release = services[other].jobs.release
+    monkeypatch.setattr(
+        services[other].jobs, "release", lambda *words: (released.append(beats[False]), release(*words))[1]
+    )
+    until(lambda: beats[True] >= 20)  # a second, twice what a dead one is given
+    assert not released
+    away.clear()
+    until(lambda: released)
+    assert released[0] > 3, "only after it was in touch for as long itself"

@@ -16,6 +16,8 @@ from penumbra_service.store.jobs import (
     NoSuchJobError,
     SqlJobStore,
 )
+from penumbra_service.store.schema import jobs
+from sqlalchemy import update
 
 MAKERS: dict[str, Callable[[Database], JobStore]] = {"sql": SqlJobStore}
 
@@ -167,16 +169,18 @@ def test_of_many_who_claim_each_gets_jobs_of_its_own_in_the_order_of_the_queue(s
     assert sorted(taken) == sorted(low)
 
 
-def test_only_silent_holders_lose_their_jobs(store: JobStore) -> None:
+def test_only_silent_holders_lose_their_jobs(store: JobStore, database: Database) -> None:
     for name in ("dead", "alive"):
         store.create(job(name=name))
     rows = [store.claim(("queued",), "compiling", f"{n}") for n in range(2)]
     dead, alive = (next(r for r in rows if r and r.name == name) for name in ("dead", "alive"))
-    moment = datetime.now(UTC)
+    long_ago = datetime.now(UTC) - timedelta(hours=1)
+    with database.write() as connection:
+        connection.execute(update(jobs).values(heartbeat=long_ago))
     assert alive.holder is not None
     assert store.beat(alive.holder, ("compiling",)) == 1
     assert store.beat("nobody", ("compiling",)) == 0
-    assert [row.id for row in store.release(("compiling",), "queued", moment)] == [dead.id]
+    assert [row.id for row in store.release(("compiling",), "queued", 600.0)] == [dead.id]
     assert store.get(dead.id).holder is None
     assert store.get(alive.id).state == "compiling"
     # who lost its job cannot move it any more, who holds one can
