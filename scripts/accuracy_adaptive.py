@@ -32,6 +32,8 @@ VARIANTS: Final = {
 }
 BASELINE: Final = "independent"
 SEEDS: Final = (11,)
+SETTLE_SECONDS: Final = 0.1
+"""Devices that compute for less than half of it are idle."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,10 @@ def _job(
     engine: Engine, scene: Scene, beside: Path, sampler: str, adaptive: Adaptive | None, target: float,
     seed: int, theta: float | None = None,
 ) -> Job:  # fmt: skip
-    before = processor_seconds()
+    before = settled_seconds()
     asked = _asked(scene, sampler, adaptive, seed, Stop(relative_error=target))
     record = _run(engine, asked, beside).record
-    spent = processor_seconds() - before
+    spent = settled_seconds() - before
     last = record.points[-1]
     exponent = theta or fit_theta(record.points).theta
     pilot = record.adaptive.pilot_samples if record.adaptive else 0
@@ -104,6 +106,18 @@ def _run(engine: Engine, scene: Scene, beside: Path) -> RunResult:
 def _mean(jobs: Sequence[Job]) -> Job:
     n = len(jobs)
     return Job(sum(j.seconds for j in jobs) / n, sum(j.samples for j in jobs) / n, jobs[0].pilot)
+
+
+def settled_seconds() -> float:
+    """processor_seconds once the devices have done what was asked of them: work that a job had begun, and dropped as it
+    stopped, is the job's own."""
+    before = processor_seconds()
+    while True:
+        time.sleep(SETTLE_SECONDS)
+        now = processor_seconds()
+        if now - before < SETTLE_SECONDS / 2:
+            return now
+        before = now
 
 
 def processor_seconds() -> float:

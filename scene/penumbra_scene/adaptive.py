@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from penumbra_scene import limits
 from penumbra_scene.base import Model, NotBoolean, error_at
 
-DEFAULT_PILOT: Final = {"error": 16, "contrast": 4}
+DEFAULT_PILOT: Final = {"error": 8, "contrast": 4}
 """Samples a pixel that decide, by strategy."""
 DEFAULT_THRESHOLD: Final = 0.1
 
@@ -18,13 +18,13 @@ class Adaptive(Model):
     """How the samples are spread over the picture; `stop.samples` is then the mean over its pixels."""
 
     strategy: Literal["error", "contrast", "off"] = "error"
-    """error: by 4 x 4 blocks, where more samples lower the picture's error most; contrast: only where two
+    """error: by 2 x 2 blocks, where more samples lower the picture's error most; contrast: only where two
     neighbouring pixels differ by more than the threshold; off: the same number everywhere."""
     mode: Literal["certified", "fast"] | None = None
     """Of `error`. certified (default): the samples that decide are dropped, so that picture and error bars
     stay unbiased; fast: they are kept, and the result is labelled biased."""
     pilot_samples: Annotated[int, Field(ge=1, le=limits.MAX_PILOT_SAMPLES), NotBoolean] | None = None
-    """Samples a pixel that decide, rounded up to a power of two in each replicate. Default 16, and up to 1/16
+    """Samples a pixel that decide, rounded up to a power of two in each replicate. Default 8, and up to 1/24
     of what the picture is expected to take; for `contrast`, whose picture begins with them, 4."""
     threshold: Annotated[float, Field(strict=True, gt=0, lt=1)] | None = None
     """Of `contrast`: |a - b| / (a + b + 0.01) of two neighbouring pixels, in R, G or B. Default 0.1."""

@@ -159,8 +159,8 @@ class SampleMap(Model):
     """Which of the plan's sample indices each pixel has taken. A pixel of level j takes the indices below `kept`, and of
     those from there on the multiples of 2^j; level 255 takes nothing from `kept` on."""
 
-    block: Annotated[Literal[1, 4], NotBoolean]
-    """Side in pixels of the blocks that share a level; blocks of 4 are aligned to the full frame."""
+    block: Annotated[Literal[1, 2, 4], NotBoolean]
+    """Side in pixels of the blocks that share a level; they are aligned to the full frame."""
     rows: Annotated[int, Field(ge=1, le=MAX_RESOLUTION), NotBoolean]
     columns: Annotated[int, Field(ge=1, le=MAX_RESOLUTION), NotBoolean]
     kept: Count = 0

@@ -24,7 +24,7 @@ from penumbra_service.engine.stages import PILOT_SHARE, Stages
 from penumbra_service.engine.task import RenderTask, RunFailedError
 from penumbra_service.film.film import Film
 from penumbra_service.film.grid import TileGrid
-from penumbra_service.film.predict import fit_theta
+from penumbra_service.film.predict import fit_theta, upper_at
 from penumbra_service.film.replicates import Layout
 from penumbra_service.film.stop import MIN_CHECK_SAMPLES
 from penumbra_service.jobs.batches import Batches
@@ -265,8 +265,8 @@ class Course:
         be of batches which are complete, since that of a discarded tile is planned anew beside what was under way."""
         self._desk.allowed(self._engine.usable())
         while self._desk.idle or self.canvas.batches.current is None:
-            if self.stage.pilot and self.canvas.batches.current is not None:
-                return  # what a pilot renders past its end could not be kept
+            if self.canvas.batches.current is not None and (self.stage.pilot or self._ends_here):
+                return  # what is rendered past the end could not be kept
             per_index = self._pixels * self._layout.replicates * self.stage.density
             open_samples = self._desk.out_samples / per_index
             rate = self._rate()
@@ -276,6 +276,17 @@ class Course:
                 return
             self.save()
             self._plan(items, more_follows=self.canvas.batches.more_follows(rate, left))
+
+    @property
+    def _ends_here(self) -> bool:
+        """Whether the picture is expected to have its error at the end of the current batch: then the devices wait a moment
+        for the look at it, and do not begin a batch that would most likely be dropped."""
+        rule, end = self.stage.rule, self.canvas.batches.current
+        if rule.relative_error is None or end is None:
+            return False
+        samples = rule.samples_at(end)
+        upper = upper_at(self.record.points, samples)
+        return samples >= MIN_CHECK_SAMPLES and upper is not None and upper <= rule.relative_error**2
 
     def _plan(self, items: list[WorkItem], *, again: bool = False, more_follows: bool = False) -> None:
         """`again`: some of it may be under way; `more_follows`: another batch is sure to come."""

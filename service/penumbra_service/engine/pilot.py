@@ -34,7 +34,7 @@ from penumbra_service.engine.protocol import (
 )
 from penumbra_service.engine.task import RunFailedError
 from penumbra_service.film.accumulator import TileAccumulator
-from penumbra_service.film.allocation import BlockPilot, Saving, pilot_of, saving_of, together
+from penumbra_service.film.allocation import BlockPilot, Saving, pilot_of, saving_of, smoothed, together
 from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.pilot import (
@@ -347,8 +347,8 @@ class PilotRunner:
         if not self._blockwise:
             return None
         rounds = list(self._blockwise.values())
-        first, last = (together([one[tile] for tile in rounds[-1]]) for one in (rounds[0], rounds[-1]))
-        return saving_of(first, last, fit_theta(self._result.points).theta)
+        decided = together([smoothed(rounds[0][tile]) for tile in rounds[-1]])
+        return saving_of(decided, together(list(rounds[-1].values())), fit_theta(self._result.points).theta)
 
     def _rate_deviation(self) -> float:
         """From the spread of seconds a sample over leases, which are of different blocks."""

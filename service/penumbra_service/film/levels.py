@@ -25,7 +25,7 @@ MAGIC: Final = b"PENULEV2"
 
 
 class LevelMap:
-    """Levels of a window's pixels; those of 8 x 8 blocks, or of single pixels, as was decided. Immutable."""
+    """Levels of a window's pixels; those of blocks, or of single pixels, as was decided. Immutable."""
 
     def __init__(
         self, window: Tile, levels: NDArray[np.uint8] | None = None, kept: int = 0, kept_planned: int = 0

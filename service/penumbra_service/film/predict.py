@@ -131,6 +131,15 @@ def error_at(
     return math.sqrt(last.relmse * grown**-fit.theta), math.sqrt(min(ends)), math.sqrt(max(ends))
 
 
+def upper_at(points: Sequence[Point], samples: float) -> float | None:
+    """What a stop rule will compare after `samples` a pixel, if relmse and its allowance fall on as they did; None where
+    nothing is known yet."""
+    known = [p for p in points if p.upper > 0 and math.isfinite(p.upper)]
+    if not known or samples <= 0:
+        return None
+    return float(known[-1].upper * (known[-1].samples / samples) ** fit_theta(known).theta)
+
+
 def splitting_price(replicates: int, theta: float) -> float:
     """Samples to a given error in so many replicates over those of one sequence, R^((theta-1)/theta): a replicate
     has n/R samples, hence R^theta times the variance of n, of which the mean keeps 1/R."""

@@ -1,4 +1,4 @@
-"""The map of an adaptive render as its receipt has it: compressed, by blocks of 8 x 8 where these share a level. Pure."""
+"""The map of an adaptive render as its receipt has it: compressed, by blocks of BLOCK where these share a level. Pure."""
 
 from __future__ import annotations
 

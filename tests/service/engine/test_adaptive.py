@@ -194,14 +194,14 @@ def test_only_pixels_with_contrast_are_refined(engine, tmp_path):  # type: ignor
 
 
 def test_a_pilot_grows_with_what_the_picture_will_take(engine, tmp_path):  # type: ignore[no-untyped-def]
-    """By default: at least 16 samples a pixel, and as many more as are at most 1/16 of an even picture's."""
+    """By default: at least 8 samples a pixel, and as many more as are at most 1/24 of an even picture's."""
     pilots = []
     for name, stop in (("a", {"samples": 64}), ("b", {"samples": 2048}), ("c", {"relative_error": 0.004})):
         result = finished(engine, task_of(tmp_path / name, {"strategy": "error"}, stop=stop))
         assert result.record.adaptive is not None
         pilots.append(result.record.adaptive.pilot_samples)
-    assert pilots[:2] == [16, 128]
-    assert 16 < pilots[2] <= result.record.points[-1].samples / 4
+    assert pilots[:2] == [8, 64]
+    assert 8 < pilots[2] <= result.record.points[-1].samples / 4
 
 
 def test_a_pilot_takes_at_most_its_share_of_the_time(engine, tmp_path):  # type: ignore[no-untyped-def]

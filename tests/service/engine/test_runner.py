@@ -284,6 +284,16 @@ def test_an_error_target_is_met_by_the_stated_margin(fake_engine, make_task):  #
     )
 
 
+def test_no_batch_is_begun_that_would_most_likely_be_dropped(fake_engine, make_task):  # type: ignore[no-untyped-def]
+    """Uniform noise, whose error falls as foreseen: devices wait for the look that ends the picture."""
+    runner = JobRunner(fake_engine(), make_task(stop={"relative_error": 0.06}))
+    result = runner.run()
+    assert result.reason is StopReason.RELATIVE_ERROR
+    canvas = runner._course.canvas
+    assert canvas.batches.ahead is None
+    assert canvas.samples == result.end * R
+
+
 def image_bits(result):  # type: ignore[no-untyped-def]
     return result.end, picture(result)
 

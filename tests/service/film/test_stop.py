@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from penumbra_scene.settings import Sampler, Stop
 from penumbra_service.film.error import ImageError
-from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta, predict
+from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta, predict, upper_at
 from penumbra_service.film.replicates import UnknownErrorTargetError, choose_layout
 from penumbra_service.film.stop import StopRule, last_end_within, next_check
 
@@ -143,6 +143,14 @@ def test_four_of_five_predictions_are_within_a_factor_of_one_and_a_half():
         covered += told.samples_low <= 1024 <= told.samples_high
     assert hits >= 0.8 * n
     assert covered >= 0.8 * n
+
+
+@pytest.mark.parametrize("theta", [1.0, 1.25, 1.5])
+def test_what_the_rule_will_compare_falls_as_the_error_does(theta):  # type: ignore[no-untyped-def]
+    points = [Point(n, n / 10, n**-theta, 1.5 * n**-theta) for n in (16, 20, 24, 28, 32)]
+    assert upper_at(points, 64) == pytest.approx(1.5 * 64**-theta)
+    assert upper_at([], 64) is None
+    assert upper_at([Point(16, 1.0, math.nan, math.nan)], 64) is None
 
 
 def test_nothing_is_predicted_from_nothing():
