@@ -23,6 +23,9 @@ STATUS_PORT: Final = 8787
 CONFIG: Final = {"distributed.scheduler.work-stealing": False}
 """There are no tasks to be stolen."""
 
+USELESS: Final = ("idle-timeout", "no-workers-timeout")
+"""What looks four times a second whether tasks have been missing for too long."""
+
 
 @dataclass(frozen=True)
 class SchedulerOptions:
@@ -62,6 +65,8 @@ async def _serve(options: SchedulerOptions) -> None:
         dashboard_address=f"127.0.0.1:{options.status_port}",
         dashboard=False,
     )
+    for name in USELESS:
+        scheduler.periodic_callbacks.pop(name, None)
     async with scheduler:
         print(f"Penumbra scheduler listens on {scheduler.address}", flush=True)
         ended = asyncio.ensure_future(scheduler.finished())
