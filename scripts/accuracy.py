@@ -285,9 +285,9 @@ def _split_page(splitting: dict[str, Any], kept: dict[str, Any]) -> Iterator[str
     looking, tracing = 100 * kept["looking"], 100 * (kept["replicates"] - 1)
     yield (
         f"Keeping error bars costs, in CPU time on `cornell` at {UPKEEP[0]} x {UPKEEP[1]}: tracing 256 samples in 4 "
-        f"replicates in place of 1, {tracing:+.1f} %; looking at the picture at all {kept['checks']} check points up to there, "
-        f"{looking:.1f} % "
-        "(a job without an error target looks at fewer)."
+        f"replicates in place of 1, {tracing:+.1f} %; looking at the picture at the {kept['checks']} check points of a job "
+        f"that meets its error there, {looking:.1f} %: {looking + tracing:.1f} % together, and the aim is 3 (a job without "
+        "an error target looks at fewer)."
     )
     yield ""
 

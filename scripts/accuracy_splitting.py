@@ -18,11 +18,13 @@ from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import SumNode, Tile, merge
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
-from penumbra_service.film.error import EPSILON, image_error, summarize
+from penumbra_service.film.accumulator import TileAccumulator
+from penumbra_service.film.error import EPSILON, ImageError, image_error, summarize
 from penumbra_service.film.replicates import DEFAULT_REPLICATES
 from penumbra_service.film.statistics import pixel_flags, pixel_statistics
 from penumbra_service.film.stop import StopRule
 from penumbra_service.images.assets import FolderAssets
+from penumbra_service.jobs.batches import Batches
 
 REPLICATES: Final = 32
 MOST: Final = 128
@@ -113,7 +115,7 @@ class Upkeep:
     replicates: float
     """Tracing 256 samples in DEFAULT_REPLICATES over tracing them in 1."""
     looking: float
-    """Looking at the picture at every check point up to 256 samples, over tracing them."""
+    """Adding up two nodes and looking at the picture, at every check point of a job of 256 samples, over tracing them."""
     checks: int
     """How many those are."""
 
@@ -126,13 +128,18 @@ def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) 
     tracers = {r: Tracer(device, compiled, SamplePlan(r)) for r in (1, ours)}
     spent: dict[int, list[float]] = {1: [], ours: []}
     looking = []
+    half = 128 // ours
+    kept = TileAccumulator(tile, ours)
+    kept.set_barriers((half,))
     for _ in range(rounds):
         for r, tracer in tracers.items():
             began = time.process_time()
-            node = tracer.trace(tile, 0, 256 // r)
+            nodes = [tracer.trace(tile, first, 128 // r) for first in (0, 128 // r)]
             spent[r].append(time.process_time() - began)
+        for node in nodes:
+            kept.add(node)
         began = time.process_time()
-        pixels = pixel_statistics(tile, node.sums)
+        pixels = pixel_statistics(tile, kept.fold(2 * half)[0])
         image_error([summarize(pixels, pixel_flags(pixels))])
         looking.append(time.process_time() - began)
     checks = check_points(ours)
@@ -140,8 +147,13 @@ def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) 
 
 
 def check_points(replicates: int, samples: int = 256) -> int:
-    """How often a job with an error target looks at its picture up to so many samples a pixel."""
-    rule, end, checks = StopRule(replicates, samples // replicates, relative_error=1e-3), 0, 0
-    while (following := rule.next_end(end)) is not None:
-        end, checks = following, checks + 1
-    return checks
+    """How often a job looks at its picture that meets its error after so many samples a pixel, of a relmse that falls as
+    1 / samples."""
+    batches = Batches(StopRule(replicates, relative_error=samples**-0.5))
+    reason = None
+    while reason is None:
+        batches.open_next(None, None)
+        assert batches.current is not None
+        relmse = 1 / (replicates * batches.current)
+        reason = batches.check(0.0, ImageError(relmse, 0.0, relmse, 0.0, 1))
+    return len(batches.ends)

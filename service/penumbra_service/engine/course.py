@@ -164,7 +164,7 @@ class Course:
         """Get to work on the stage: with the batches that were begun, and the tiles that are there. `anew`: it keeps
         nothing of the stage before."""
         stage, task = self.stage, self._task
-        batches = Batches(stage.rule, checked, ends=self.record.ends)
+        batches = Batches(stage.rule, checked, ends=self.record.ends, uppers=self.record.uppers)
         batches.reopen(open_ends)
         film = Film(
             TileGrid(self._window, self._tile_size),

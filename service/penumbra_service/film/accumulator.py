@@ -72,8 +72,8 @@ class TileAccumulator:
                 at = node.end
         return at >= first + count
 
-    def fold(self, end: int) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """Sums over samples [0, end) as (replicates, height, width) of SUM64 and of LAYERS (or None), nodes
+    def fold(self, end: int) -> tuple[dict[str, NDArray[Any]], NDArray[Any] | None]:
+        """Sums over samples [0, end): the fields of SUM64, and LAYERS (or None), each (replicates, height, width), nodes
         added in index order in float64. Samples from `end` on are left out. Raises ValueError where some are
         missing."""
         if not self.holds(0, end) or self.crosses(end):
@@ -123,13 +123,17 @@ class TileAccumulator:
         return not any(left.first_sample < barrier < right.end for barrier in self.barriers)
 
 
-def _sum_of(parts: list[NDArray[Any]], shape: tuple[int, int, int]) -> NDArray[Any]:
-    total = np.zeros(shape, SUM64)
+def _sum_of(parts: list[NDArray[Any]], shape: tuple[int, int, int]) -> dict[str, NDArray[Any]]:
+    """Each field in one piece: they are added and read some three times as fast as within records."""
+    total = {
+        name: np.zeros((*shape, *base.shape), base.base) for name, (base, *_) in (SUM64.fields or {}).items()
+    }
     for part in parts:
-        total["rgba"] += part["rgba"]
-        for name in ("taken", "lit", "rejected", "rays"):
-            total[name] += part[name]
-        total["rejected_in"] |= part["rejected_in"]
+        for name, field in total.items():
+            if name == "rejected_in":
+                field |= part[name]
+            else:
+                field += part[name]
     return total
 
 

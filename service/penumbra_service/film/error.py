@@ -11,6 +11,7 @@ pooling.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any, Final
@@ -65,19 +66,28 @@ class TileSummary:
 def block_sums(pixels: PixelStatistics, block: int = POOL_BLOCK) -> BlockSums:
     """Pool a tile over blocks of this side. Blocks are aligned to the full frame, so they do not depend on the tiles."""
     known = np.isfinite(pixels.variance[..., 0])
-    variance = np.where(known, pixels.variance[..., :3].mean(axis=-1), 0.0)
-    square = np.where(known, np.square(pixels.mean[..., :3]).mean(axis=-1), 0.0)
-    tile = pixels.tile
-    mean = np.where(known[..., None], pixels.mean[..., :3], 0.0)
-    return BlockSums(*(pool(values, tile, block) for values in (known, variance, square, mean)))
+    red, green, blue = (pixels.mean[..., i] for i in range(3))
+    planes = np.empty((6, *known.shape))
+    planes[0] = known
+    planes[1] = (pixels.variance[..., 0] + pixels.variance[..., 1] + pixels.variance[..., 2]) / 3
+    planes[2] = (np.square(red) + np.square(green) + np.square(blue)) / 3
+    planes[3:] = red, green, blue
+    if not known.all():
+        planes[:, ~known] = 0.0
+    pooled = _pool_planes(planes, pixels.tile, block)
+    return BlockSums(pooled[0], pooled[1], pooled[2], np.moveaxis(pooled[3:], 0, -1))
 
 
 def pool(values: NDArray[Any], tile: Tile, block: int) -> NDArray[np.float64]:
     """Sums of a tile's pixels (height, width, ...) over blocks of this side, aligned to the full frame."""
-    rows = np.add.reduceat(
-        values.astype(np.float64), block_starts(tile.y, tile.height, block), axis=0, dtype=np.float64
-    )
-    result: NDArray[np.float64] = np.add.reduceat(rows, block_starts(tile.x, tile.width, block), axis=1)
+    pooled: NDArray[np.float64] = _pool_planes(values[None].astype(np.float64), tile, block)[0]
+    return pooled
+
+
+def _pool_planes(planes: NDArray[np.float64], tile: Tile, block: int) -> NDArray[np.float64]:
+    """The same of several planes (planes, height, width, ...) at once."""
+    rows = np.add.reduceat(planes, block_starts(tile.y, tile.height, block), axis=1)
+    result: NDArray[np.float64] = np.add.reduceat(rows, block_starts(tile.x, tile.width, block), axis=2)
     return result
 
 
@@ -87,16 +97,20 @@ def summarize(pixels: PixelStatistics, bits: NDArray[np.uint32]) -> TileSummary:
         blocks=block_sums(pixels),
         all_pixels=bits.size,
         untrusted=int(np.count_nonzero(bits & flags.UNTRUSTED)),
-        flagged={name: int(np.count_nonzero(bits & bit)) for name, bit in flags.NAMES.items()},
+        flagged=_pixels_with(bits, flags.NAMES),
         taken=int(pixels.taken.sum()),
         lit=int(pixels.lit.sum()),
         rejected=int(pixels.rejected.sum()),
-        rejected_in={
-            name: int(np.count_nonzero(pixels.rejected_in & bit)) for name, bit in flags.EFFECTS.items()
-        },
+        rejected_in=_pixels_with(pixels.rejected_in, flags.EFFECTS),
         rays=int(pixels.rays.sum()),
         maximum=float(pixels.mean[..., :3].max(initial=0.0)),
     )
+
+
+def _pixels_with(bits: NDArray[np.uint32], names: Mapping[str, int]) -> dict[str, int]:
+    """How many have each bit. Most have none."""
+    any_of = int(np.bitwise_or.reduce(bits, axis=None))
+    return {name: int(np.count_nonzero(bits & bit)) if any_of & bit else 0 for name, bit in names.items()}
 
 
 @dataclass(frozen=True)

@@ -50,16 +50,21 @@ class Preview:
     def put(self, pixels: PixelStatistics) -> None:
         """Replace a tile's part."""
         tile = pixels.tile
-        count = self._pool(np.ones((*pixels.taken.shape, 1)), tile)
         x = tile.x // self.scale - self.window.x // self.scale
         y = tile.y // self.scale - self.window.y // self.scale
+        self.changed = True
+        if self.scale == 1:
+            at = np.s_[y : y + tile.height, x : x + tile.width]
+            self._rgba[at] = pixels.mean
+            self._variance[at] = np.minimum(pixels.variance[..., :3], LARGEST)
+            return
+        count = self._pool(np.ones((*pixels.taken.shape, 1)), tile)
         at = np.s_[y : y + count.shape[0], x : x + count.shape[1]]
         self._rgba[at] = self._pool(pixels.mean, tile) / count
         # Pixels are independent, so the variance of their average is the sum of theirs over the square of
         # their number.
         variance = self._pool(pixels.variance[..., :3], tile) / count**2
         self._variance[at] = np.minimum(variance, LARGEST)
-        self.changed = True
 
     def image(self) -> PreviewImage:
         """The picture as it stands; clears `changed`."""

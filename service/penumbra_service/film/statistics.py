@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -63,9 +64,12 @@ class PixelStatistics:
     """(height, width): whether the replicates differ by rounding alone."""
 
 
-def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = False) -> PixelStatistics:
-    """Statistics of a tile's sums (replicates, height, width) of SUM or SUM64, which hold all of its
-    samples."""
+Sums = NDArray[Any] | Mapping[str, NDArray[Any]]
+"""(replicates, height, width) of SUM or SUM64, or their fields one by one."""
+
+
+def pixel_statistics(tile: Tile, sums: Sums, *, deterministic: bool = False) -> PixelStatistics:
+    """Statistics of a tile's sums, which hold all of its samples."""
     taken = np.ascontiguousarray(sums["taken"])
     there = taken > 0
     counts = there.sum(axis=0)
@@ -76,9 +80,11 @@ def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = Fa
         deviations = np.subtract(means, mean, out=means)
     if not there.all():
         deviations[~there] = 0.0
-    deviations[:, overflowed] = 0.0
+    if overflowed is not None:
+        deviations[:, overflowed] = 0.0
     variance = _variance(deviations, counts, deterministic)
-    variance[overflowed] = np.nan
+    if overflowed is not None:
+        variance[overflowed] = np.nan
     share, calm = _largest_share(deviations, mean)
     return PixelStatistics(
         tile,
@@ -95,9 +101,11 @@ def pixel_statistics(tile: Tile, sums: NDArray[Any], *, deterministic: bool = Fa
     )
 
 
-def _cap(mean: NDArray[Any]) -> NDArray[np.bool_]:
-    """Replaces means that are beyond float32, in place; (height, width): which pixels had any. Samples are
-    finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes, NaN)."""
+def _cap(mean: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Replaces means that are beyond float32, in place; (height, width): which pixels had any, None for none. Samples
+    are finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes, NaN)."""
+    if math.isfinite(mean.sum()):
+        return None
     overflowed: NDArray[np.bool_] = ~np.isfinite(mean).all(axis=-1)
     mean[overflowed] = np.nan_to_num(mean[overflowed], nan=LARGEST, posinf=LARGEST, neginf=-LARGEST)
     return overflowed
@@ -105,6 +113,9 @@ def _cap(mean: NDArray[Any]) -> NDArray[np.bool_]:
 
 def _variance(deviations: NDArray[Any], counts: NDArray[Any], deterministic: bool) -> NDArray[np.float64]:
     squares = np.einsum("rhwc,rhwc->hwc", deviations, deviations)
+    most = len(deviations)
+    if most >= 2 and not deterministic and counts.min(initial=most) == most:
+        return np.asarray(squares / (most * (most - 1)))
     known = (counts >= 2) & (not deterministic)
     divisor = np.where(known, counts * (counts - 1), 1)[..., None]
     return np.where(known[..., None], squares / divisor, np.nan)

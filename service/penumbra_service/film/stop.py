@@ -60,9 +60,10 @@ class StopRule:
         """Whether the end is found by looking, so that check points must be close."""
         return self.seconds is not None or self.relative_error is not None
 
-    def next_end(self, end: int) -> int | None:
-        """The check point after `end` samples a replicate (0 to start); None where `end` is the last."""
-        following = next_check(end) if self.fine else 2 * end
+    def next_end(self, end: int, *, far: bool = False) -> int | None:
+        """The check point after `end` samples a replicate (0 to start); None where `end` is the last. `far`: none within
+        this octave could end the render."""
+        following = next_check(end) if self.fine and not (far and end & (end - 1) == 0) else 2 * end
         if end == 0:
             following = self.first_end
         if self.samples is None:

@@ -145,6 +145,11 @@ class RunRecord:
         return sum(use.leases for use in self.devices.values())
 
     @property
+    def uppers(self) -> dict[int, float]:
+        """relmse with its allowance at each of `ends`."""
+        return {end: point.upper for end, point in zip(self.ends, self.points, strict=False)}
+
+    @property
     def bit_class(self) -> str:
         """The one class of all devices that worked, or 'mixed'."""
         classes = sorted({use.bit_class for use in self.devices.values() if use.leases})

@@ -19,7 +19,34 @@ def test_one_batch_is_worked_on_ahead_and_never_two():
     assert batches.check(0.1, BAD) is None
     assert (batches.checked, batches.current, batches.ahead) == (1, 2, None)
     assert batches.barriers == (1, 2)
-    assert batches.open_next(None, None) == (2, 3)
+    assert batches.open_next(None, None) == (2, 4)  # far from the error
+
+
+def ends_of(relmse, target, early=True):  # type: ignore[no-untyped-def]
+    """All check points of a job whose relmse is a function of its samples a pixel; the batch ahead is begun before the look
+    (early) or after it."""
+    batches = Batches(StopRule(4, relative_error=target))
+    while True:
+        batches.open_next(None, None)
+        if early:
+            batches.open_next(None, None)
+        found = relmse(4 * batches.current)
+        if batches.check(0.0, ImageError(found, 0.0, found, 1.0, 1)):
+            return batches.ends
+
+
+def test_early_looks_that_cannot_end_a_render_are_left_out_however_fast_it_is():
+    """A relmse of 1 / samples that meets its target at 320 samples, and at 20."""
+    for early in (True, False):
+        assert ends_of(lambda n: 1 / n, 320**-0.5, early)[:8] == [1, 2, 4, 8, 16, 20, 24, 28]
+        assert ends_of(lambda n: 1 / n, 19.5**-0.5, early) == [1, 2, 3, 4, 5]
+
+
+def test_an_error_that_falls_as_fast_as_any_is_not_looked_for_too_late():
+    for theta in (1.0, 1.25, 1.5):
+        for needed in (20, 24, 40, 56, 64, 100):
+            met = ends_of(lambda n, needed=needed, theta=theta: (needed / n) ** theta * 1e-4, 0.01)[-1]
+            assert 4 * met == min(n for n in (20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112) if n >= needed)
 
 
 def test_what_is_past_the_stop_does_not_count():
