@@ -8,12 +8,17 @@ With --script it prints what it would give to sbatch, and ends.
 from __future__ import annotations
 
 import argparse
+import shlex
 import signal
 import threading
 from pathlib import Path
 
 from dask_jobqueue import SLURMCluster
 from penumbra_service.engine.dask.addresses import DEFAULT_PORT, security
+from penumbra_service.engine.dask.config import environment
+
+QUIET = [f"export {name}={shlex.quote(value)}" for name, value in environment().items()]
+"""Dask's habits of looking at itself, turned down as `penumbra worker` does."""
 
 
 def main() -> None:
@@ -38,7 +43,7 @@ def main() -> None:
         protocol="tls",
         security=security(options.tls.absolute(), "scheduler", "worker", "client"),
         scheduler_options={"port": options.port, "dashboard_address": "127.0.0.1:8787"},
-        job_script_prologue=[f"export POCL_MAX_PTHREAD_COUNT={options.cpus}"],
+        job_script_prologue=[f"export POCL_MAX_PTHREAD_COUNT={options.cpus}", *QUIET],
         worker_extra_args=[
             "--preload",
             "penumbra_service.engine.dask.preload",

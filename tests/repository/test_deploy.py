@@ -145,7 +145,8 @@ def test_slurm_files_are_sound() -> None:
     program = (DEPLOY / "slurm.py").read_text()
     compile(program, "slurm.py", "exec")
     modules = re.findall(r"penumbra_service[.\w]+", program)
-    assert {"penumbra_service.engine.dask.addresses", "penumbra_service.engine.dask.preload"} == set(modules)
+    of_dask = "penumbra_service.engine.dask."
+    assert {of_dask + name for name in ("addresses", "config", "preload")} == set(modules)
     for module in modules:
         assert (ROOT / "service" / (module.replace(".", "/") + ".py")).is_file()
 
@@ -160,6 +161,7 @@ def test_dask_jobqueue_gets_a_job_that_starts_a_worker_of_the_farm(tmp_path) -> 
     for option in ("-p gpu", "--cpus-per-task=8", "-t 01:00:00"):
         assert f"#SBATCH {option}" in lines
     assert "export POCL_MAX_PTHREAD_COUNT=8" in lines
+    assert "export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False" in lines
     (worker,) = (line for line in lines if "distributed.cli.dask_worker" in line)
     given = shlex.split(worker)
     assert given[given.index("--preload") + 1] == "penumbra_service.engine.dask.preload"

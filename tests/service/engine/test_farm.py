@@ -16,10 +16,12 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import dask
 import pytest
 from penumbra_service.engine.dask import publisher as publishing
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.certs import ROLES, CertsExistError, make_certs
+from penumbra_service.engine.dask.config import QUIET, environment
 from penumbra_service.engine.dask.publisher import Publisher
 from penumbra_service.engine.dask.scheduler import SchedulerOptions, serve_scheduler
 from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
@@ -216,3 +218,9 @@ def test_a_device_that_fails_the_self_test_does_not_join(tmp_path, caplog):  # t
         supervise(options)
     assert "device fake:0 does not join" in caplog.text
     assert "case 12 failed" in caplog.text
+
+
+def test_dask_reads_from_variables_what_our_own_processes_tell_it():
+    assert {
+        name: dask.config.get(name, config=dask.config.collect_env(environment())) for name in QUIET
+    } == QUIET

@@ -31,6 +31,14 @@ def settle(**more: Any) -> None:
     _allow_sockets()
 
 
+def environment() -> dict[str, str]:
+    """The same for processes that Dask's own commands start: variables that Dask reads."""
+    return {
+        f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": str(value)
+        for name, value in QUIET.items()
+    }
+
+
 def _allow_sockets() -> None:
     """Scheduler and service hold one for each worker: as many as this process may have without asking anybody."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
