@@ -23,11 +23,12 @@ from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.certs import ROLES, CertsExistError, make_certs
 from penumbra_service.engine.dask.config import QUIET, environment
 from penumbra_service.engine.dask.publisher import Publisher
+from penumbra_service.engine.dask.remote import PINGS, QUIET_SECONDS, RemoteDevice
 from penumbra_service.engine.dask.scheduler import SchedulerOptions, serve_scheduler
 from penumbra_service.engine.dask.supervisor import WorkerOptions, supervise
 from penumbra_service.engine.dask.wire import NotPortableError, publish
 from penumbra_service.engine.local import NoDeviceError
-from penumbra_service.engine.protocol import RenderSpec
+from penumbra_service.engine.protocol import DeviceDescription, RenderSpec
 from penumbra_service.settings import SettingsError
 from penumbra_service.store.content import NoSuchAssetError, asset_file
 from penumbra_service.store.contents import BrokenContentError, ContentStore, trim
@@ -224,3 +225,13 @@ def test_dask_reads_from_variables_what_our_own_processes_tell_it():
     assert {
         name: dask.config.get(name, config=dask.config.collect_env(environment())) for name in QUIET
     } == QUIET
+
+
+def test_large_farms_are_asked_whether_they_live_at_a_bounded_rate():
+    description = DeviceDescription("d", "", "", "", "", "cpu", 1, 1, "")
+    device = RemoteDevice("tcp://w", description, channel=None, heard=0.0)  # type: ignore[arg-type]
+    assert not device.wants_ping(100.0), "it has no lease"
+    device.unanswered = PINGS
+    for devices, quiet in ((1, QUIET_SECONDS), (250, QUIET_SECONDS), (10_000, 200.0)):
+        assert not device.wants_ping(quiet, devices)
+        assert device.wants_ping(1.01 * quiet, devices)

@@ -21,6 +21,9 @@ QUIET: Final[dict[str, Any]] = {
     "distributed.client.scheduler-info-interval": "60 s",
 }
 
+MOST_FILES: Final = 1 << 16
+"""Open at once. No more, since programs that close all that they might have inherited take their time over millions."""
+
 
 def settle(**more: Any) -> None:
     """Configure Dask in this process, before anything of it starts."""
@@ -40,7 +43,9 @@ def environment() -> dict[str, str]:
 
 
 def _allow_sockets() -> None:
-    """Scheduler and service hold one for each worker: as many as this process may have without asking anybody."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with contextlib.suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    """Scheduler and service hold one for each worker: up to MOST_FILES, if this process may have them without asking."""
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = MOST_FILES if most == resource.RLIM_INFINITY else min(most, MOST_FILES)
+    if now != resource.RLIM_INFINITY and now < wanted:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))

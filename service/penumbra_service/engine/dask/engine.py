@@ -295,7 +295,7 @@ class DaskEngine:
     def _ping_quiet(self, client: Client) -> None:
         now = time.monotonic()
         for device in self._devices.values():
-            if device.wants_ping(now):
+            if device.wants_ping(now, len(self._devices)):
                 device.heard = now  # the next question comes no earlier
                 self._spawn(self._ping(client, device))
 

@@ -18,6 +18,8 @@ from penumbra_service.engine.status import device_status
 
 QUIET_SECONDS: Final = 5.0
 """A worker that has leases and says nothing for so long is asked whether it lives."""
+PINGS_PER_SECOND: Final = 50
+"""That one service asks, of all its workers together: those of a large farm are asked later."""
 PING_SECONDS: Final = 3.0
 """It may take so long to answer."""
 PINGS: Final = 2
@@ -58,9 +60,10 @@ class RemoteDevice:
         self.heard = time.monotonic()
         self.unanswered = 0
 
-    def wants_ping(self, now: float) -> bool:
-        """Whether it is time to ask."""
-        return bool(self.held or self.hung) and now - self.heard > QUIET_SECONDS
+    def wants_ping(self, now: float, devices: int = 1) -> bool:
+        """Whether it is time to ask, as one of so many."""
+        quiet = max(QUIET_SECONDS, devices / PINGS_PER_SECOND)
+        return bool(self.held or self.hung) and now - self.heard > quiet
 
     @property
     def state(self) -> DeviceState:
