@@ -1,18 +1,20 @@
-"""The usual programs, by the effects that they have: what `penumbra warm` builds where it is given no scene.
+"""Programs that are built before anybody waits for them: those of given scenes, or the usual ones.
 
-They are those of the example scenes, under the default sampler, and the generic program.
+The usual ones have the effects of the example scenes; the generic ones have all, and any scene can begin with them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Final
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, get_args
 
 from penumbra_scene.scene import Scene
+from penumbra_scene.settings import Sampler
 
 from penumbra_kernels.features import EFFECTS, Feature, Features, analyse
 
 DEFAULT_SAMPLER: Final = "sobol"
+SAMPLERS: Final[tuple[str, ...]] = get_args(Sampler.model_fields["type"].annotation)
 
 USUAL: Final[tuple[frozenset[str], ...]] = tuple(
     frozenset(words.split())
@@ -41,19 +43,46 @@ USUAL: Final[tuple[frozenset[str], ...]] = tuple(
 """Effects of a program each."""
 
 
-def features_of(effects: Iterable[str]) -> Features:
+def features_of(
+    effects: Iterable[str], sampler: str = DEFAULT_SAMPLER, *, adaptive: bool = False
+) -> Features:
     """The verdicts of some scene that has just these effects."""
     present = set(effects)
     verdicts = tuple(Feature(name, name in present, "usual") for name in EFFECTS)
-    return Features(verdicts, DEFAULT_SAMPLER, area_sampling=False)
+    return Features(verdicts, sampler, area_sampling=False, adaptive=adaptive)
+
+
+def _generic(sampler: str) -> Iterator[tuple[str, dict[str, int]]]:
+    """The generic programs under a sampler: layers and adaptive sampling change what is written, so they have their own."""
+    for adaptive in (False,) if sampler == "random" else (False, True):  # it has no counts to adapt
+        for layers in (False, True):
+            words = ["generic", sampler, *["adaptive"] * adaptive, *["layers"] * layers]
+            features = features_of(["layers"] * layers, sampler, adaptive=adaptive)
+            yield ", ".join(words), features.generic_flags()
+
+
+def _usual(sampler: str) -> Iterator[tuple[str, dict[str, int]]]:
+    for effects in USUAL:
+        yield f"{sampler}: {' '.join(sorted(effects))}", features_of(effects, sampler).flags()
+
+
+def usual_programs(samplers: Sequence[str] = ()) -> Iterator[tuple[str, dict[str, int]]]:
+    """(name, flags) of the generic programs and of the usual ones under these samplers. Without any named: of the default one,
+    then the plain generic program of every other, so that any scene can begin at once."""
+    for sampler in samplers or (DEFAULT_SAMPLER,):
+        yield from _generic(sampler)
+    for sampler in samplers or (DEFAULT_SAMPLER,):
+        yield from _usual(sampler)
+    if not samplers:
+        for sampler in SAMPLERS:
+            if sampler != DEFAULT_SAMPLER:
+                yield next(_generic(sampler))
 
 
 def programs_of(scenes: Iterable[tuple[str, Scene]]) -> Iterator[tuple[str, dict[str, int]]]:
-    """(name, flags) of the generic programs, with which any scene can begin at once, and of those that scenes need; each
-    once. Without scenes the usual ones."""
+    """(name, flags) of the generic programs, with which these scenes can begin at once, and of those that they need; each
+    once."""
     found = [(name, analyse(scene)) for name, scene in scenes]
-    if not found:
-        found = [(" ".join(sorted(effects)) or "no effect", features_of(effects)) for effects in USUAL]
     every = [("generic", features.generic_flags()) for _, features in found]
     every += [(name, features.flags()) for name, features in found]
     seen = set()

@@ -16,7 +16,8 @@ from penumbra_service.commands import Command, CommandError
 _WARM: Final = """\
 Build programs into the cache, so that no job has to wait for a compiler.
 
-  penumbra warm                        the usual ones: those of the example scenes, and the generic one
+  penumbra warm                        the generic ones, with which any scene begins at once, and the example scenes'
+  penumbra warm --sampler blue_noise   the same under this sampler; several: commas between them
   penumbra warm a.json b.json          those that these scenes need
   penumbra warm --device pocl:0        for one device (default: all of this machine)
   penumbra warm --json                 a line of JSON for each program
@@ -27,6 +28,9 @@ def _configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE", help="scene files (JSON)")
     parser.add_argument(
         "--device", metavar="IDS", default="", help="OpenCL devices, commas between them (default: all)"
+    )
+    parser.add_argument(
+        "--sampler", metavar="NAMES", default="", help="samplers of the usual programs (default: sobol)"
     )
     parser.add_argument("--json", action="store_true", help="for programs")
 
@@ -46,11 +50,25 @@ def _devices(wanted: str) -> list[str]:
     return ids
 
 
-def _programs(paths: Sequence[Path]) -> list[tuple[str, dict[str, int]]]:
-    from penumbra_kernels.warm import programs_of
+def _samplers(wanted: str) -> list[str]:
+    from penumbra_kernels.warm import SAMPLERS
+
+    names = [part.strip() for part in wanted.split(",") if part.strip()]
+    unknown = sorted(set(names) - set(SAMPLERS))
+    if unknown:
+        raise CommandError(f"no sampler {', '.join(unknown)}; there are: {', '.join(SAMPLERS)}", Exit.INVALID)
+    return names
+
+
+def _programs(paths: Sequence[Path], samplers: Sequence[str]) -> list[tuple[str, dict[str, int]]]:
+    from penumbra_kernels.warm import programs_of, usual_programs
     from penumbra_scene.errors import ProblemError
     from penumbra_scene.parse import parse_scene
 
+    if not paths:
+        return list(usual_programs(samplers))
+    if samplers:
+        raise CommandError("--sampler is for the usual programs; a scene names its own", Exit.INVALID)
     scenes = []
     for path in paths:
         try:
@@ -65,7 +83,7 @@ def _programs(paths: Sequence[Path]) -> list[tuple[str, dict[str, int]]]:
 def _run(arguments: argparse.Namespace) -> int:
     from penumbra_kernels.compiler import Compiler
 
-    programs = _programs(arguments.scenes)
+    programs = _programs(arguments.scenes, _samplers(arguments.sampler))
     refused = 0
     for device in _devices(arguments.device):
         compiler = Compiler(device)

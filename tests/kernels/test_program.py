@@ -10,7 +10,7 @@ from penumbra_kernels import layout
 from penumbra_kernels.device import BuildError, Device, DeviceError
 from penumbra_kernels.program import CL_ROOT, active_lines, assemble
 from penumbra_kernels.tracer import ARGUMENTS
-from penumbra_kernels.warm import programs_of
+from penumbra_kernels.warm import USUAL, features_of
 
 
 def test_a_file_hidden_by_one_condition_is_there_for_another(device: Device) -> None:
@@ -127,14 +127,11 @@ int always;
 
 
 def test_a_scenes_own_program_is_smaller_than_the_generic_one() -> None:
-    sizes = [(name, active_lines(assemble("trace.cl", flags))) for name, flags in programs_of([])]
-    generic = [size for name, size in sizes if name == "generic"]
-    assert (
-        1000
-        < min(size for _, size in sizes)
-        < max(size for name, size in sizes if name != "generic")
-        < min(generic)
-    )
+    def lines(flags: dict[str, int]) -> int:
+        return active_lines(assemble("trace.cl", flags))
+
+    own = [lines(features_of(effects).flags()) for effects in USUAL]
+    assert 1000 < min(own) < max(own) < lines(features_of(()).generic_flags())
 
 
 def test_a_condition_of_another_sort_is_refused() -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 
 import pytest
 from penumbra_kernels.device import devices
 from penumbra_kernels.features import analyse
-from penumbra_kernels.warm import USUAL, features_of, programs_of
+from penumbra_kernels.layout import CONSTANTS
+from penumbra_kernels.warm import SAMPLERS, USUAL, features_of, usual_programs
 from penumbra_scene.exits import Exit
 from penumbra_scene.parse import parse_scene
 from penumbra_service.commands import CommandError
@@ -40,20 +42,30 @@ def test_the_usual_programs_are_those_of_the_examples() -> None:
     assert len(USUAL) == len(set(USUAL))
 
 
-def test_each_program_is_named_once() -> None:
-    programs = list(programs_of([]))
+@pytest.mark.parametrize("samplers", [(), ("blue_noise", "random")])
+def test_each_program_is_there_once(samplers: tuple[str, ...]) -> None:
+    programs = list(usual_programs(samplers))
     assert len({tuple(sorted(flags.items())) for _, flags in programs}) == len(programs)
-    with_layers = {tuple(sorted(features_of(e).generic_flags().items())) for e in USUAL}
-    assert len(programs) == len(USUAL) + len(with_layers)
+    assert len({name for name, _ in programs}) == len(programs)
 
 
 def test_what_is_warm_has_a_program_for_a_scene_that_nobody_has_seen() -> None:
-    """The generic one, built first."""
+    """The generic one of its sampler; under the default one for adaptive sampling and with layers as well, and built first."""
     effects = {"lens", "deformation", "delta_lights"}
     assert frozenset(effects) not in USUAL
-    name, flags = next(iter(programs_of([])))
-    assert name == "generic"
-    assert flags == features_of(effects).generic_flags()
+    built = [flags for _, flags in usual_programs()]
+    for sampler in SAMPLERS:
+        assert features_of(effects, sampler).generic_flags() in built
+    assert built[0] == features_of(effects).generic_flags()
+    for adaptive, layers in itertools.product((False, True), (set(), {"layers"})):
+        assert features_of(effects | layers, adaptive=adaptive).generic_flags() in built[:4]
+
+
+def test_a_named_sampler_has_the_usual_programs() -> None:
+    built = [flags for _, flags in usual_programs(["blue_noise"])]
+    assert all(features_of(effects, "blue_noise").flags() in built for effects in USUAL)
+    assert features_of((), "blue_noise", adaptive=True).generic_flags() in built
+    assert {flags["PENUMBRA_SAMPLER"] for flags in built} == {CONSTANTS["SAMPLER_BLUE_NOISE"]}
 
 
 @pytest.mark.skipif(not devices(), reason="no OpenCL device")
@@ -83,3 +95,9 @@ def test_what_is_no_scene_and_no_device_is_told(tmp_path: Path) -> None:
         run(str(broken))
     with pytest.raises(CommandError, match="nonesuch:7"):
         run("--device", "nonesuch:7")
+    with pytest.raises(CommandError, match=r"halton.*sobol"):
+        run("--sampler", "halton")
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps(SCENE))
+    with pytest.raises(CommandError, match="a scene names its own"):
+        run(str(scene), "--sampler", "sobol")
