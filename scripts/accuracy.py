@@ -308,17 +308,25 @@ def _forecast_page(found: list[dict[str, Any]]) -> Iterator[str]:
     yield (
         f"Every example with a random sampler at {width} x {height}, quoted for an error that takes about two seconds, then "
         f"rendered to it. Within x{HOLDS:g}: {100 * shares['samples']:.0f} % in samples, {100 * shares['seconds']:.0f} % in "
-        f"seconds; the aim is 80 %. {100 * shares['within']:.0f} % lie in the quoted 95 % interval of seconds."
+        f"seconds; the aim is 80 %. {100 * shares['within']:.0f} % lie in the quoted 95 % interval of seconds. "
+        "`At least` stands where fewer than 25 pixels carry the error that the pilot saw: rare bright samples make it, and the "
+        "quote says that it knows no upper bound."
     )
     rows = [
         [
-            f.scene, f"{100 * f.target:.2g} %", f"{f.samples[0]:.0f}", f"{f.samples[1]:.0f}", _ratio(f.samples_ratio),
-            f"{f.seconds[0]:.2f}", f"{f.seconds[1]:.2f}", _ratio(f.seconds_ratio),
+            f.scene, f"{100 * f.target:.2g} %",
+            f"{_least(f)}{f.samples[0]:.0f}", f"{f.samples[1]:.0f}", _ratio(f.samples_ratio),
+            f"{_least(f)}{f.seconds[0]:.2f}", f"{f.seconds[1]:.2f}", _ratio(f.seconds_ratio),
         ]
         for f in sorted(told, key=lambda f: abs(f.seconds_ratio - 1), reverse=True)
     ]  # fmt: skip
     head = ["scene", "error", "samples quoted", "real", "ratio", "seconds quoted", "real", "ratio"]
     yield from _table(head, rows)
+
+
+def _least(found: Any) -> str:
+    """As the quote says it where few pixels carry the error."""
+    return "" if found.bounded else "at least "
 
 
 def _ratio(ratio: float) -> str:

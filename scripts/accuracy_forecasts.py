@@ -35,6 +35,8 @@ class Forecast:
     seconds: tuple[float, float]
     within: bool
     """Whether the real seconds lie in the interval that was quoted."""
+    bounded: bool = True
+    """Whether that has an upper end; else the quote says 'at least'."""
 
     @property
     def samples_ratio(self) -> float:
@@ -65,14 +67,15 @@ def forecast(engine: Engine, scene: Scene, beside: Path) -> Forecast | None:
         quote = build_quote(scene, 0.0, found)
         result = JobRunner(engine, RenderTask("forecast", scene, Path(folder) / "job", assets, beside)).run()
     real = result.record.points[-1]
-    high = quote.end.seconds_interval.high or quote.end.seconds
+    high = quote.end.seconds_interval.high
     return Forecast(
         scene.name,
         target,
         found.seconds,
         (quote.end.samples, float(real.samples)),
         (quote.end.seconds, real.seconds),
-        quote.end.seconds_interval.low <= real.seconds <= high,
+        quote.end.seconds_interval.low <= real.seconds and (high is None or real.seconds <= high),
+        high is not None,
     )
 
 

@@ -238,6 +238,24 @@ def test_quote_prints_a_row_for_each_error_and_its_range_on_an_axis(
     assert said[-1] == "warning: it may be dearer"
 
 
+def test_quote_says_at_least_where_there_is_no_upper_bound(
+    service: Any, scene: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    open_row = {
+        **QUOTE["table"][1],
+        "samples_interval": {"low": 384, "high": None},
+        "seconds_interval": {"low": 7.2, "high": None},
+    }
+    told = {**QUOTE, "table": [QUOTE["table"][0], open_row], "end": {**QUOTE["end"], **open_row}}
+    service.on("POST /v1/quotes", service.answer(told))
+    assert main(["quote", scene, "--server", service.address, "--error", "2%"]) == Exit.OK
+    said = capsys.readouterr().out.splitlines()
+    assert "at least 11.4 s of tracing, at least 576 samples a pixel" in said[0]
+    (fine,) = [line for line in said if line.lstrip().startswith("2 %")]
+    assert fine.split()[2:6] == ["≥", "576", "≥", "11.4"]
+    assert fine.index("●") < fine.index("→")  # beyond the end of the axis
+
+
 def test_quote_prints_json_for_programs(service: Any, scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     service.on("POST /v1/quotes", service.answer(QUOTE))
     assert main(["quote", scene, "--url", service.address, "--json"]) == Exit.OK

@@ -22,6 +22,8 @@ NUMBERS_WIDTH: Final = 58
 """What the other columns take, about."""
 PAGE_WIDTH: Final = 100
 """Columns where there is no terminal."""
+OPEN_ROOM: Final = 2.0
+"""Times its seconds: what the axis has room for where they have no upper bound."""
 _REASONS: Final = {"samples": "its samples", "seconds": "its time", "relative_error": "its error"}
 
 
@@ -42,7 +44,8 @@ def _end(end: QuotedEnd) -> str:
     if end.relative_error is not None:
         error = f", relative error {percent(end.relative_error)}{_percents(end.relative_error_interval)}"
     return (
-        f"{duration(end.seconds)}{_durations(end.seconds_interval)} of tracing, {end.samples:.4g} samples a pixel{error}; "
+        f"{_least(end.seconds_interval)}{duration(end.seconds)}{_durations(end.seconds_interval)} of tracing, "
+        f"{_least(end.samples_interval)}{end.samples:.4g} samples a pixel{error}; "
         f"{_REASONS.get(end.reason, str(end.reason))} will stop it"
     )
 
@@ -63,12 +66,21 @@ def _stage(seconds: float, warm: bool | None) -> str:
     return "none: it is cached" if warm else f"{duration(seconds)} on top"
 
 
+def _least(interval: Interval, words: str = "at least ") -> str:
+    """Before a number that has no upper bound."""
+    return words if interval.high is None else ""
+
+
 def _durations(interval: Interval) -> str:
-    return _between(duration(interval.low), duration(interval.high))
+    return "" if interval.high is None else _between(duration(interval.low), duration(interval.high))
 
 
 def _percents(interval: Interval | None) -> str:
-    return "" if interval is None else _between(percent(interval.low), percent(interval.high))
+    if interval is None:
+        return ""
+    if interval.high is None:
+        return " or more"
+    return _between(percent(interval.low), percent(interval.high))
 
 
 def _between(low: str, high: str) -> str:
@@ -84,8 +96,8 @@ def _table(quote: Quote, cells: int) -> Table:
     for row in quote.table:
         table.add_row(
             percent(row.relative_error),
-            f"{row.samples:,.0f}",
-            duration(row.seconds),
+            _least(row.samples_interval, "≥ ") + f"{row.samples:,.0f}",
+            _least(row.seconds_interval, "≥ ") + duration(row.seconds),
             duration(row.seconds_interval.low),
             duration(row.seconds_interval.high),
             _bar(row, low, high, cells),
@@ -96,7 +108,7 @@ def _table(quote: Quote, cells: int) -> Table:
 
 def _span(rows: Sequence[QuotedError]) -> tuple[float, float]:
     lows = [max(row.seconds_interval.low, 1e-3) for row in rows]
-    highs = [max(row.seconds_interval.high or row.seconds, 1e-3) for row in rows]
+    highs = [max(row.seconds_interval.high or OPEN_ROOM * row.seconds, 1e-3) for row in rows]
     return min(lows), max(*highs, 1.01 * min(lows))
 
 
@@ -108,9 +120,12 @@ def _cell(seconds: float, low: float, high: float, cells: int) -> int:
 def _bar(row: QuotedError, low: float, high: float, cells: int) -> Text:
     """The interval as a line, the seconds as a dot on it."""
     first = _cell(row.seconds_interval.low, low, high, cells)
-    last = _cell(row.seconds_interval.high or row.seconds, low, high, cells)
+    ends = row.seconds_interval.high
+    last = cells - 1 if ends is None else _cell(ends, low, high, cells)
     drawn = [" "] * cells
     drawn[first : last + 1] = "─" * (last + 1 - first)
+    if ends is None:
+        drawn[last] = "→"
     drawn[_cell(row.seconds, low, high, cells)] = "●"
     return Text("".join(drawn))
 

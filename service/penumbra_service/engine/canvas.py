@@ -15,7 +15,7 @@ from penumbra_kernels.nodes import SumNode, Tile, empty_node
 from penumbra_service.film.error import TileSummary, image_error
 from penumbra_service.film.film import Film
 from penumbra_service.film.levels import LevelMap
-from penumbra_service.film.predict import Point
+from penumbra_service.film.predict import point_of
 from penumbra_service.film.preview import Preview
 from penumbra_service.film.stop import Reason
 from penumbra_service.jobs.batches import Batches
@@ -120,7 +120,7 @@ class Canvas:
         error = image_error(summaries)
         upper = error.upper(confidence) if error.known else math.nan
         samples = self.batches.rule.samples_at(end)
-        self.record.points.append(Point(samples, seconds, error.relmse, upper, error.deviation, error.mse))
+        self.record.points.append(point_of(samples, seconds, error, upper))
         self.record.counts = count_pixels(summaries)
         return self.batches.check(seconds, error)
 

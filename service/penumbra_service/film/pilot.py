@@ -15,7 +15,7 @@ from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.error import TileSummary, image_error, normal_quantile
 from penumbra_service.film.grid import POOL_BLOCK, TileGrid
-from penumbra_service.film.predict import Point
+from penumbra_service.film.predict import Point, point_of
 
 MOST_PIXELS: Final = 32_000
 """About what two seconds take to 128 samples a pixel on two cores."""
@@ -83,4 +83,4 @@ def pilot_point(
         return Point(samples, seconds, math.nan, math.nan)
     of_picture = error.deviation * math.sqrt(min(len(summaries) / all_blocks, 1.0))
     upper = error.relmse * (1 + normal_quantile(confidence) * of_picture)
-    return Point(samples, seconds, error.relmse, upper, error.deviation, error.mse)
+    return point_of(samples, seconds, error, upper)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from penumbra_service.film.error import normal_quantile
+from penumbra_service.film.error import ImageError, normal_quantile
 
 THETA_RANGE: Final = (1.0, 1.5)
 FIT_FROM: Final = 16
@@ -35,6 +35,16 @@ class Point:
     """relmse with its allowance, which the stop rule compares."""
     deviation: float = 0.0
     mse: float = math.nan
+    carriers: float = math.nan
+    """Pixels that carry the error; NaN: not known."""
+    of_few: bool = False
+    """Whether these are so few that what a lower error will take has no upper bound."""
+
+
+def point_of(samples: float, seconds: float, error: ImageError, upper: float) -> Point:
+    """A check whose allowance is `upper`."""
+    found = (error.relmse, upper, error.deviation, error.mse, error.carriers, error.of_few)
+    return Point(samples, seconds, *found)
 
 
 @dataclass(frozen=True)

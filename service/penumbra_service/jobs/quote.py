@@ -95,7 +95,7 @@ def _quoted(scene: Scene, found: PilotResult, target: float) -> QuotedError | No
     spread = _Spread(scene, found)
     even = [_whole(found, n) for n in (told.samples, told.samples_low, told.samples_high)]
     value, low, high = (spread.saving.samples * n for n in even)
-    samples = _Range(value, low, high, confidence)
+    samples = _Range(value, low, None if found.points[-1].of_few else high, confidence)
     seconds = samples.seconds(spread)
     return QuotedError(
         relative_error=target,
@@ -129,9 +129,9 @@ class _Spread:
 
 
 class _Range:
-    """A number with the ends of its interval."""
+    """A number with the ends of its interval; no upper one where it may be any number."""
 
-    def __init__(self, value: float, low: float, high: float, confidence: float) -> None:
+    def __init__(self, value: float, low: float, high: float | None, confidence: float) -> None:
         self.value = value
         self.interval = Interval(low=low, high=high, confidence=confidence)
         self._ends = (low, high)
@@ -140,10 +140,14 @@ class _Range:
     def seconds(self, spread: _Spread) -> _Range:
         """The same in seconds of tracing, its ends wider by what the pilot's rate is uncertain."""
         wider = normal_quantile(self._confidence) * spread.rate_deviation
-        value, low, high = (
-            n * spread.rate + spread.pilot_seconds(self.value) for n in (self.value, *self._ends)
+        pilot = spread.pilot_seconds(self.value)
+        low, high = self._ends
+        return _Range(
+            self.value * spread.rate + pilot,
+            (low * spread.rate + pilot) * max(1 - wider, 0.0),
+            None if high is None else (high * spread.rate + pilot) * (1 + wider),
+            self._confidence,
         )
-        return _Range(value, low * max(1 - wider, 0.0), high * (1 + wider), self._confidence)
 
 
 def _whole(found: PilotResult, samples: float) -> float:
@@ -168,7 +172,7 @@ def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
         row = _quoted(scene, found, stop.relative_error)
         if row is not None:
             n, i = row.samples, row.samples_interval
-            ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, i.low, i.high or i.low, confidence)))
+            ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, i.low, i.high, confidence)))
     if not ends:  # an error alone is asked for, and no light was seen: nothing is known
         n = found.points[-1].samples
         ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, n, n, confidence)))
@@ -184,7 +188,9 @@ def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
         relative_error=None if error is None else error[0],
         relative_error_interval=None
         if error is None
-        else Interval(low=error[1], high=error[2], confidence=confidence),
+        else Interval(
+            low=error[1], high=None if found.points[-1].of_few else error[2], confidence=confidence
+        ),
     )
 
 
@@ -201,6 +207,11 @@ def _doubts(scene: Scene, found: PilotResult) -> tuple[str, ...]:
         said.append("one replicate has no spread: samples and seconds can be quoted, errors cannot")
     elif not last.relmse > 0:
         said.append("the pilot saw no noise at all: either there is none, or light that it never met")
+    elif last.of_few:
+        said.append(
+            f"the pilot's error is that of some {max(last.carriers, 1):.0f} pixels: rare bright samples make it, and a longer "
+            "render meets brighter ones. What an error takes is at least as much as quoted, and may be many times that"
+        )
     elif found.flagged_share > MUCH_FLAGGED:
         share = f"{100 * found.flagged_share:.0f} %"
         said.append(

@@ -113,7 +113,7 @@ def build_receipt(
         redone_leases=record.redone_leases,
         resumed=record.resumed,
         checked_leases=record.checked_leases,
-        warnings=(*record.warnings, *context.warnings, *_missed(scene, record, reason)),
+        warnings=(*record.warnings, *context.warnings, *_missed(scene, record, reason), *_of_few(record)),
     )
 
 
@@ -126,6 +126,17 @@ def _missed(scene: Scene, record: RunRecord, reason: StopReason) -> tuple[str, .
     caps = (last.samples, None) if reason is StopReason.SAMPLES else (None, record.seconds)
     short = shortfall(record.points, stop.relative_error, stop.confidence, *caps)
     return () if short is None else (f"the error target was not met: {short.message}",)
+
+
+def _of_few(record: RunRecord) -> tuple[str, ...]:
+    """Where rare bright samples make the picture's error."""
+    if not record.points or not record.points[-1].of_few:
+        return ()
+    pixels = max(record.points[-1].carriers, 1.0)
+    return (
+        f"some {pixels:.0f} pixels carry the picture's error: rare bright samples make it, so that it is little known, and a "
+        "longer render may meet brighter ones",
+    )
 
 
 def _effects(record: RunRecord, *, present: bool) -> tuple[EffectReport, ...]:

@@ -49,22 +49,32 @@ def quote_view(quote: Quote) -> QuoteView:
 
 def _summary(quote: Quote) -> str:
     end = quote.end
-    text = f"As it stands: {words.duration(end.seconds)} of tracing ({_between(end.seconds_interval)})"
-    text += f", {words.count(end.samples)} samples a pixel"
+    seconds, samples = words.duration(end.seconds), words.count(end.samples)
+    text = (
+        f"As it stands: {_least(end.seconds_interval)}{seconds} of tracing ({_between(end.seconds_interval)})"
+    )
+    text += f", {_least(end.samples_interval)}{samples} samples a pixel"
     if end.relative_error is not None:
         text += f", a relative error of {words.percent(end.relative_error)}"
     return f"{text}. It would end because {words.REASONS[end.reason]}."
 
 
+def _least(interval: Interval) -> str:
+    """Before a number that has no upper bound."""
+    return "at least " if interval.high is None else ""
+
+
 def _between(interval: Interval) -> str:
+    if interval.high is None:
+        return f"{words.duration(interval.low)} or more"
     return f"{words.duration(interval.low)} to {words.duration(interval.high)}"
 
 
 def _row(row: QuotedError, target: float | None) -> QuoteRow:
     return QuoteRow(
         error=words.percent(row.relative_error),
-        samples=words.count(row.samples),
-        seconds=words.duration(row.seconds),
+        samples=_least(row.samples_interval) + words.count(row.samples),
+        seconds=_least(row.seconds_interval) + words.duration(row.seconds),
         between=_between(row.seconds_interval),
         asked=row.relative_error == target,
     )

@@ -221,6 +221,23 @@ def test_relmse_does_not_collapse_where_one_replicate_has_all_the_light():
     assert naive < 0.2 * true
 
 
+def test_the_pixels_that_carry_an_error_are_counted():
+    """Equal spikes of one replicate in five blocks: five pixels carry it. Of normal noise, E V^2 = (1 + 2 / (R - 1)) E^2 V in
+    each of N pixels: N / (1 + 2 / (R - 1)) do."""
+    values = np.full((R, 64, 64), 1.0)
+    for y, x in ((0, 0), (20, 3), (37, 37), (63, 63), (5, 60)):
+        values[1, y, x] = 1000.0
+    pixels = _stats(_sums(values))
+    few = image_error([summarize(pixels, pixel_flags(pixels))])
+    assert few.carriers == pytest.approx(5, rel=1e-6)
+    assert few.of_few
+    rng = np.random.default_rng(11)
+    pixels = _stats(_sums(5 + rng.standard_normal((R, 64, 64))))
+    many = image_error([summarize(pixels, pixel_flags(pixels))])
+    assert many.carriers == pytest.approx(64**2 / (1 + 2 / (R - 1)), rel=0.1)
+    assert not many.of_few
+
+
 def test_a_black_picture_has_no_error():
     pixels = _stats(_sums(np.zeros((R, 32, 32))))
     error = image_error([summarize(pixels, pixel_flags(pixels))])

@@ -21,7 +21,7 @@ CONTEXT = ReceiptContext("j1", "a name", START, START, START + timedelta(seconds
 
 
 def _record(**more):  # type: ignore[no-untyped-def]
-    points = [Point(n, n / 10, n**-1.2, 1.1 * n**-1.2, 0.05, n**-1.2) for n in (8, 16, 24, 32, 64)]
+    points = [Point(n, n / 10, n**-1.2, 1.1 * n**-1.2, 0.05, n**-1.2, 400.0) for n in (8, 16, 24, 32, 64)]
     record = RunRecord(
         replicates=8,
         seconds=6.4,
@@ -132,6 +132,13 @@ def test_a_record_survives_its_json():
     assert RunRecord.from_json(json.loads(json.dumps(record.to_json()))) == record
     with pytest.raises(ValueError, match="unknown"):
         RunRecord.from_json({**record.to_json(), "nonsense": 1})
+
+
+def test_an_error_that_few_pixels_carry_is_told(scene):  # type: ignore[no-untyped-def]
+    for of_few in (False, True):
+        record = _record(points=[Point(64, 1.0, 1e-3, 2e-3, 0.5, 1e-3, 3.2, of_few)])
+        told = build_receipt(scene, record, StopReason.SAMPLES, CONTEXT).warnings
+        assert any("some 3 pixels carry" in warning for warning in told) == of_few
 
 
 def test_an_error_far_beyond_a_scenes_numbers_is_told(scene):  # type: ignore[no-untyped-def]
