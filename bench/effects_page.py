@@ -121,14 +121,18 @@ def findings(rows: Sequence[Row]) -> list[str]:
 
 def _noise_table(measured: dict[str, EffectsMeasured]) -> list[str]:
     groups = ("pixel", "lens", "time", "lights", "directions", "interactions")
-    lines = ["| scene | " + " | ".join(groups) + " | sum |", "|---" * (len(groups) + 2) + "|"]
+    lines = [
+        "| scene | share of | " + " | ".join(groups) + " | sum | in the noisiest hundredth |",
+        "|---" * (len(groups) + 4) + "|",
+    ]
     for name, found in measured.items():
-        rows = {row.group: row for row in found.noise}
-        cells = [
-            f"{100 * rows[g].alone:.0f} +- {100 * rows[g].error:.0f}" if g in rows else "" for g in groups
-        ]
-        total = 100 * sum(row.alone for row in found.noise)
-        lines.append(f"| `{name}` | " + " | ".join(cells) + f" | {total:.0f} |")
+        whole = {row.group: (row.alone, row.error) for row in found.noise}
+        typical = {row.group: (row.typical, row.typical_error) for row in found.noise}
+        peak = f"{100 * (found.noise_peak or 0.0):.0f}"
+        for what, rows, last in (("the whole", whole, peak), ("a typical block", typical, "")):
+            cells = [f"{100 * rows[g][0]:.0f} +- {100 * rows[g][1]:.0f}" if g in rows else "" for g in groups]
+            total = 100 * sum(share for share, _ in rows.values())
+            lines.append(f"| `{name}` | {what} | " + " | ".join(cells) + f" | {total:.0f} | {last} |")
     return lines
 
 
@@ -196,7 +200,9 @@ def page(
             "",
             "Of the variance of a replicate's mean at 8 samples, by first-order sensitivity indices "
             "([decision 17](decisions/0017-what-effects-cost-is-asked-for.md)); a share of one group alone can come out below "
-            "0 by its error. `interactions` is what several groups do together.",
+            "0 by its error. `interactions` is what several groups do together. Where most of the noise is in the noisiest "
+            "hundredth of the blocks, a few bright pixels decide on the whole, and even its error is uncertain; a typical "
+            "block's shares are the means of all blocks' own.",
             "",
             *_noise_table(measured),
             "",

@@ -8,7 +8,13 @@ With Y of one draw A of all groups, Y' of another, B, and Y_g of A with group g 
     g alone        V_g = V - E (Y' - Y_g)^2 / 2      (Jansen 1999; Saltelli et al. 2010, table 2 c)
     g with others  T_g = E (Y - Y_g)^2 / 2           (Jansen 1999; Saltelli et al. 2010, table 2 f)
 
-What is left, V - sum V_g, is the interactions': a product of two factors has noise that freezing either one does not remove.
+V is taken from the very draws that are compared, as the mean of their two variances: then V_g / V is 2 cov / (var + var), which
+lies between -1 and 1 whatever a single bright value does (the estimator T of Janon et al. 2014, asymptotically the best). What
+is left, 1 - sum V_g / V, is the interactions': a product of two factors has noise that freezing either one does not remove.
+
+Where a few bright values carry most of the noise, shares of the whole are theirs, and uncertain. So there are shares of a
+typical block too: the mean over blocks of each block's own.
+
 Everything is estimated for the sampler and the number of samples that a render has: a sampler that spreads the pixel's points
 well leaves the pixel little of the noise. Values are radiance averaged over R, G and B; expectations go over replicates and
 pixels.
@@ -48,6 +54,10 @@ class Share:
     """Share of the variance of a replicate's mean. Estimated: may come out a little below 0."""
     error: float
     """Its standard error."""
+    typical: float
+    """Share of the variance in a block, on average over blocks."""
+    typical_error: float
+    """Its standard error."""
     together: float | None
     """The share that the group has a part in, interactions included; None for the interactions' own row."""
 
@@ -69,38 +79,84 @@ def bit_of(group: str) -> int:
     return CONSTANTS[f"GROUP_{group.upper()}"]
 
 
-def _ratio(numerator: Array, denominator: Array) -> tuple[float, float]:
-    """Ratio of two means over blocks, and its standard error (Cochran 1977, section 6.3: the delta method)."""
-    whole = float(denominator.mean())
-    if whole <= 0.0:
-        return 0.0, 0.0
-    ratio = float(numerator.mean()) / whole
-    count = len(numerator)
-    spread = float(((numerator - ratio * denominator) ** 2).sum()) / max(count - 1, 1)
-    return ratio, float(np.sqrt(spread / count)) / whole
-
-
 def half_square(a: Array, b: Array) -> Array:
     """Of values (blocks, ...): (blocks,) means of (a - b)^2 / 2 over all but the first axis."""
     return np.asarray((0.5 * (a - b) ** 2).reshape(len(a), -1).mean(axis=1))
 
 
+def _covariance(a: Array, b: Array) -> Array:
+    """Of values (blocks, replicates, ...): (blocks,) means of the covariances over replicates."""
+    apart = (a - a.mean(axis=1, keepdims=True)) * (b - b.mean(axis=1, keepdims=True))
+    count = max(a.shape[1] - 1, 1)
+    return np.asarray((apart.sum(axis=1) / count).reshape(len(a), -1).mean(axis=1))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What blocks say of a group: (blocks,) parts of the variance, and (blocks,) variances."""
+
+    part: Array
+    variance: Array
+
+    @property
+    def ratio(self) -> float:
+        whole = float(self.variance.sum())
+        return float(self.part.sum()) / whole if whole > 0.0 else 0.0
+
+    @property
+    def influence(self) -> Array:
+        """(blocks,) of each block on the ratio (Cochran 1977, section 6.3: the delta method)."""
+        mean = float(self.variance.mean())
+        return (self.part - self.ratio * self.variance) / mean if mean > 0.0 else np.zeros_like(self.part)
+
+    @property
+    def own(self) -> Array:
+        """(blocks,) ratios, 0 where there is no noise."""
+        return np.divide(self.part, self.variance, out=np.zeros_like(self.part), where=self.variance > 0.0)
+
+
+def _row(
+    group: str, alone: float, influence: Array, own: Array, noisy: NDArray[np.bool_], together: float | None
+) -> Share:
+    typical = own[noisy]
+    return Share(
+        group,
+        alone,
+        _error(influence),
+        float(typical.mean()) if len(typical) else 0.0,
+        _error(typical),
+        together,
+    )
+
+
+def _error(values: Array) -> float:
+    """Standard error of a mean."""
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+
+
 def shares(first: Array, second: Array, mixed: Mapping[str, Array]) -> tuple[Share, ...]:
-    """The table from values (blocks, ...) of draw A, of draw B, and for each group of A with that group from B.
+    """The table from values (blocks, replicates, ...) of draw A, of draw B, and for each group of A with that group from B.
 
     Blocks are independent of each other: errors come from their spread. The rows' shares add up to 1 where there is noise.
     """
-    whole = half_square(first, second)
+    spread = {"first": _covariance(first, first), "second": _covariance(second, second)}
+    noisy = (spread["first"] > 0.0) & (spread["second"] > 0.0)
     rows = []
-    left = whole.copy()
+    left, influence, own = float(noisy.any()), np.zeros(len(first)), noisy.astype(np.float64)
     for group, values in mixed.items():
-        alone = whole - half_square(second, values)
-        left -= alone
-        share, error = _ratio(alone, whole)
-        together, _ = _ratio(half_square(first, values), whole)
-        rows.append(Share(group, share, error, together))
-    share, error = _ratio(left, whole)
-    return (*rows, Share(INTERACTIONS, share, error, None))
+        of_mixed = _covariance(values, values)
+        alone = _Part(_covariance(second, values), 0.5 * (spread["second"] + of_mixed))
+        together = _Part(half_square(first, values), 0.5 * (spread["first"] + of_mixed))
+        rows.append(_row(group, alone.ratio, alone.influence, alone.own, noisy, together.ratio))
+        left, influence, own = left - alone.ratio, influence - alone.influence, own - alone.own
+    return (*rows, _row(INTERACTIONS, left, influence, own, noisy, None))
+
+
+def peak(first: Array, second: Array) -> float:
+    """The share of the whole noise that the noisiest hundredth of the blocks carries, one of them at least."""
+    by_block = np.sort(_covariance(first, first) + _covariance(second, second))[::-1]
+    whole = float(by_block.sum())
+    return float(by_block[: max(len(by_block) // 100, 1)].sum()) / whole if whole > 0.0 else 0.0
 
 
 def variance_of(first: Array, second: Array) -> tuple[float, float]:
@@ -128,11 +184,20 @@ def values_of(tracer: Tracer, tiles: Sequence[Tile], sample_count: int, other_gr
         tracer.other_groups = 0
 
 
-def measure(tracer: Tracer, tiles: Sequence[Tile], sample_count: int) -> tuple[Share, ...]:
+@dataclass(frozen=True)
+class Noise:
+    """A scene's table."""
+
+    rows: tuple[Share, ...]
+    peak: float
+    """See `peak`."""
+
+
+def measure(tracer: Tracer, tiles: Sequence[Tile], sample_count: int) -> Noise:
     """The table of a scene: a tracer with `measuring`, tiles of one size as blocks. Traces 2 + groups times as much."""
     groups = groups_of(tracer.compiled.features)
     everything = sum(bit_of(group) for group in GROUPS)
     first = values_of(tracer, tiles, sample_count, 0)
     second = values_of(tracer, tiles, sample_count, everything)
     mixed = {group: values_of(tracer, tiles, sample_count, bit_of(group)) for group in groups}
-    return shares(first, second, mixed)
+    return Noise(shares(first, second, mixed), peak(first, second))

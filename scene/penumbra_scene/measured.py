@@ -15,6 +15,11 @@ class NoiseShare(Model):
     """First-order sensitivity index; all rows add up to 1. An estimate: may come out a little below 0."""
     error: Float
     """Its standard error."""
+    typical: Float = 0.0
+    """The same share in a block, on average over blocks: what to go by where a few bright pixels carry the noise
+    (`noise_peak`)."""
+    typical_error: Float = 0.0
+    """Its standard error."""
     together: Float | None = None
     """Total-effect index: the share that the group has a part in. Null for interactions."""
 
@@ -41,4 +46,7 @@ class EffectsMeasured(Model):
     """That measuring took, compiling included."""
     noise: tuple[NoiseShare, ...] = ()
     """Empty where the sampler is deterministic, or no block has any noise."""
+    noise_peak: Float | None = None
+    """The share of all noise that the noisiest hundredth of the blocks carries, one of them at least. Where it is large, shares
+    of the whole are those of a few bright pixels. Null where `noise` is empty."""
     costs: tuple[EffectCost, ...] = ()

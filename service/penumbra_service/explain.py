@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from penumbra_kernels.features import Features, analyse
 from penumbra_kernels.limits import Limit, not_covered
 from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.parse import parse_scene
+
+PEAK: Final = 0.5
+"""From which share of the noise in a hundredth of the blocks on a few bright pixels are said to carry it."""
 
 
 def explain(
@@ -74,7 +77,18 @@ def _noise_lines(measured: EffectsMeasured) -> list[str]:
         return ["noise: none"]
     rows = [
         f"{row.group:<13} {100 * row.alone:6.1f} +- {100 * row.error:4.1f} %"
+        f" {100 * row.typical:8.1f} +- {100 * row.typical_error:4.1f} %"
         + ("" if row.together is None else f" {100 * row.together:12.1f} %")
         for row in measured.noise
     ]
-    return [f"{'noise':<13} {'alone':>16} {'with others':>14}", *rows]
+    head = f"{'noise':<13} {'of the whole':>16} {'in a typical block':>18} {'with others':>14}"
+    return [head, *rows, *_peak_lines(measured.noise_peak)]
+
+
+def _peak_lines(peak: float | None) -> list[str]:
+    if peak is None or peak < PEAK:
+        return []
+    return [
+        f"{100 * peak:.0f} % of the noise is in the noisiest hundredth of the blocks: shares of the whole are those of a few"
+        " bright pixels, and uncertain; go by a typical block"
+    ]

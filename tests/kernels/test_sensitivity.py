@@ -20,6 +20,7 @@ from penumbra_kernels.sensitivity import (
     bit_of,
     groups_of,
     measure,
+    peak,
     shares,
     values_of,
     variance_of,
@@ -62,6 +63,7 @@ def test_shares_of_a_function_with_known_indices() -> None:
     for i, v in enumerate(alone):
         row = table[f"x{i}"]
         assert abs(row.alone - v / whole) < 5 * row.error
+        assert abs(row.typical - v / whole) < 5 * row.typical_error + 0.01  # 64 replicates: a ratio's bias
         total = v * float(np.prod([1 + w for j, w in enumerate(alone) if j != i])) / whole
         assert row.together == pytest.approx(total, rel=0.05)
     assert abs(table[INTERACTIONS].alone - (1 - sum(alone) / whole)) < 5 * table[INTERACTIONS].error
@@ -79,7 +81,29 @@ def test_a_product_is_interaction_alone() -> None:
 
 def test_without_noise_there_are_no_shares() -> None:
     flat = np.ones((4, 8))
-    assert [row.alone for row in shares(flat, flat, {"pixel": flat})] == [0, 0]
+    rows = shares(flat, flat, {"pixel": flat})
+    assert [(row.alone, row.typical) for row in rows] == [(0, 0), (0, 0)]
+    assert peak(flat, flat) == 0
+
+
+def test_a_few_bright_values_leave_the_table_of_a_typical_block() -> None:
+    """One value in each draw some thousand times the others, as a caustic gives them."""
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 2, 400, 16, 16))
+    first, second = a[0] + 2 * a[1], b[0] + 2 * b[1]
+    mixed = {"x0": b[0] + 2 * a[1], "x1": a[0] + 2 * b[1]}
+    for block, values in enumerate((first, second, *mixed.values())):
+        values[10 + block // 2, 3, 5] = 1e4
+    table = {row.group: row for row in shares(first, second, mixed)}
+    assert peak(first, second) > 0.9
+    assert sum(row.alone for row in table.values()) == pytest.approx(1)
+    assert sum(row.typical for row in table.values()) == pytest.approx(1)
+    assert all(-1 <= row.alone <= 1 for row in table.values() if row.group != INTERACTIONS)
+    for name, share in (("x0", 0.2), ("x1", 0.8), (INTERACTIONS, 0.0)):
+        row = table[name]
+        assert row.typical_error < 0.01
+        assert abs(row.typical - share) < 5 * row.typical_error + 0.01
+    assert abs(table["x1"].alone - 0.8) > 0.2
 
 
 SAMPLERS = ["random", "independent", "stratified", "jittered", "sobol", "blue_noise"]
@@ -178,7 +202,7 @@ def test_a_pictures_table_adds_up_to_the_variance_of_its_replicates(device: Devi
     other = values_of(tracer_of(device, sampler={"type": "independent", "seed": 4}), TILES, 4, 0)
     spread = other.var(axis=1, ddof=1).mean(axis=1)
     assert abs(whole - spread.mean()) < 5 * np.hypot(error, spread.std(ddof=1) / np.sqrt(len(spread)))
-    table = {row.group: row for row in measure(tracer, TILES, 4)}
+    table = {row.group: row for row in measure(tracer, TILES, 4).rows}
     assert list(table) == ["pixel", "lens", "lights", "directions", INTERACTIONS]
     assert sum(row.alone for row in table.values()) == pytest.approx(1, abs=1e-9)
     for row in table.values():
@@ -190,7 +214,7 @@ def test_what_cannot_matter_has_no_share(device: Device) -> None:
     wall = [{"type": "quad", "origin": [-50, -50, -2], "u": [100, 0, 0], "v": [0, 100, 0]}]
     sky = {"type": "constant", "radiance": 1}
     tracer = tracer_of(device, shapes=wall, environment=sky, integrator={"max_bounces": 1})
-    table = {row.group: row for row in measure(tracer, TILES[:12], 4)}
+    table = {row.group: row for row in measure(tracer, TILES[:12], 4).rows}
     assert abs(table["lens"].alone) < 0.02
     assert abs(table["pixel"].alone) < 0.02
     assert table["lights"].alone + table["directions"].alone + table[INTERACTIONS].alone > 0.95

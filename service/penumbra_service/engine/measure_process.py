@@ -22,7 +22,7 @@ from penumbra_kernels.compile.scene import CompiledScene, compile_scene
 from penumbra_kernels.device import Device, DeviceError
 from penumbra_kernels.features import analyse
 from penumbra_kernels.nodes import Tile
-from penumbra_kernels.sensitivity import DETERMINISTIC, groups_of, measure
+from penumbra_kernels.sensitivity import DETERMINISTIC, Noise, groups_of, measure
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_kernels.without import REMOVALS
 from penumbra_scene.measured import EffectCost, EffectsMeasured, NoiseShare
@@ -86,11 +86,13 @@ class Measurement:
         half = 0.5 * self.request.budget / each
         noisy = self._blocks(half / (2 + len(groups_of(self.compiled.features))), NOISE_BLOCKS)
         timed = self._blocks(half / (2 * ROUNDS * max(len(removals), 1)), TIMED_BLOCKS)
+        noise = self._noise(noisy)
         return EffectsMeasured(
             device=self.device.info.id,
             blocks=len(noisy),
             samples=REPLICATES * SAMPLES,
-            noise=self._noise(noisy),
+            noise=() if noise is None else tuple(NoiseShare(**asdict(row)) for row in noise.rows),
+            noise_peak=None if noise is None else noise.peak,
             costs=self._costs(removals, timed),
             seconds=time.perf_counter() - started,
         )
@@ -99,14 +101,11 @@ class Measurement:
         least, most = bounds
         return blocks_of(self.window, int(min(max(affordable, least), most)))
 
-    def _noise(self, blocks: Sequence[Tile]) -> tuple[NoiseShare, ...]:
+    def _noise(self, blocks: Sequence[Tile]) -> Noise | None:
         if self.scene.sampler.type in DETERMINISTIC:
-            return ()
-        tracer = Tracer(self.device, self.compiled, self.plan, measuring=True)
-        rows = measure(tracer, blocks, SAMPLES)
-        if not any(row.alone for row in rows):
-            return ()
-        return tuple(NoiseShare(**asdict(row)) for row in rows)
+            return None
+        noise = measure(Tracer(self.device, self.compiled, self.plan, measuring=True), blocks, SAMPLES)
+        return noise if noise.peak > 0.0 else None
 
     def _removals(self) -> dict[str, Scene]:
         """The scene without each effect that can be taken away whole."""
