@@ -230,8 +230,8 @@ class Receipt(Model):
     """As a string: JSON numbers lose bits beyond 2^53."""
     replicates: Integer
     samples: Measured
-    """A pixel, on average, all replicates together. Of an adaptive render `stop.samples` to the nearest step that all
-    levels allow."""
+    """A pixel, on average, all replicates together. Of an adaptive render `stop.samples` to a fraction of one; by contrast, to
+    the nearest step that all levels allow."""
     stop: Stop
     """The rule that was asked for."""
     stop_reason: StopReason

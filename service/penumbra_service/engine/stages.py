@@ -157,7 +157,8 @@ class Stages:
         errors = [point.mse for point in record.points if 2 * point.samples >= record.points[-1].samples]
         theta = theta_of(errors[0], errors[-1]) if len(errors) > 1 else theta_of(0.0, 0.0)
         pilot = pilot_of(self._window, (film.pixels(tile, end) for tile in film.tiles))
-        return theta, error_levels(self._window, pilot, theta)
+        kept = end if adaptive.biased else 0
+        return theta, error_levels(self._window, pilot, theta, self._layout.samples_per_replicate, kept)
 
     def _pilot(self, adaptive: Adaptive) -> Stage:
         least, own = self._least_pilot(adaptive), not adaptive.biased

@@ -18,12 +18,12 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from penumbra_kernels.allotment import LEVEL_NONE
+from penumbra_kernels.allotment import LEVEL_NONE, own_samples
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.error import EPSILON, block_sums, pool
 from penumbra_service.film.grid import POOL_BLOCK, block_starts
-from penumbra_service.film.levels import spread
+from penumbra_service.film.levels import LevelMap, block_sizes, spread
 from penumbra_service.film.predict import THETA_RANGE, Point, predict
 from penumbra_service.film.statistics import PixelStatistics
 from penumbra_service.film.stop import StopRule
@@ -183,12 +183,41 @@ def pilot_samples(even: float, least: float) -> float:
 
 
 def _levels(density: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.rint(np.log2(density.max() / density)))
+    return np.asarray(np.rint(_wanted(density)))
 
 
-def error_levels(window: Tile, pilot: BlockPilot, theta: float) -> NDArray[np.uint8]:
-    """(height, width): levels whose densities 2^-level are nearest, in the logarithm, to what the blocks should have."""
-    return spread(_levels(densities(smoothed(pilot), theta)).astype(np.uint8), window, BLOCK)
+def _wanted(density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Levels before they are rounded."""
+    return np.asarray(np.log2(density.max() / density))
+
+
+def error_levels(
+    window: Tile, pilot: BlockPilot, theta: float, samples: int | None = None, kept: int = 0
+) -> NDArray[np.uint8]:
+    """(height, width): levels whose densities 2^-level are nearest, in the logarithm, to what the blocks should have.
+    `samples` that are planned a replicate beyond the `kept` ones are met by the mean: steps of the axis pass it by up to a
+    sample, and so many of the blocks that are nearest to the next level are on that one."""
+    wanted = _wanted(densities(smoothed(pilot), theta))
+    levels = np.rint(wanted).astype(np.uint8)
+    if samples is not None and samples > kept:
+        levels += _thinned(window, wanted, levels, samples, kept)
+    return spread(levels, window, BLOCK)
+
+
+def _thinned(
+    window: Tile, wanted: NDArray[np.float64], levels: NDArray[np.uint8], samples: int, kept: int
+) -> NDArray[np.bool_]:
+    """The blocks that go to the next level, so that the mean at some end is as near to `samples` as may be."""
+    end = LevelMap(window, spread(levels, window, BLOCK), kept).end_reaching(samples)
+    taken = np.array([own_samples(end, level, kept) for level in range(int(levels.max()) + 2)])
+    pixels = block_sizes(window, BLOCK)
+    beyond = int((taken[levels] * pixels).sum()) - samples * int(pixels.sum())
+    order = np.argsort(levels - wanted, axis=None, kind="stable")
+    spared = np.cumsum(((taken[levels] - taken[levels + 1]) * pixels).ravel()[order])
+    count = int(np.argmin(np.abs(np.concatenate([[0], spared]) - beyond)))
+    chosen = np.zeros(levels.size, bool)
+    chosen[order[:count]] = True
+    return chosen.reshape(levels.shape)
 
 
 def contrast_levels(rgb: NDArray[Any], threshold: float) -> NDArray[np.uint8]:

@@ -64,11 +64,20 @@ class LevelMap:
             return samples
         if self.density == 0:
             return self.kept
+        high = self.end_reaching(samples)
+        low = high - 1
+        return low if low > self.kept and samples - self.mean(low) < self.mean(high) - samples else high
+
+    def end_reaching(self, samples: int) -> int:
+        """The first end at which the mean is at least `samples` a replicate, more than the kept ones; some pixel must take
+        more than these."""
         low, high = self.kept, self.kept + int((samples - self.kept) / self.density) + 1
+        while self.mean(high) < samples:  # behind the kept ones each level waits for its first index
+            low, high = high, 2 * high
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (low, middle) if self.mean(middle) >= samples else (middle, high)
-        return low if low > self.kept and samples - self.mean(low) < self.mean(high) - samples else high
+        return high
 
     def samples(self, tile: Tile, first: int, count: int) -> int:
         """What all pixels of a tile together take of [first, first + count), a replicate."""
@@ -103,10 +112,20 @@ class LevelMap:
 
 def spread(values: NDArray[np.uint8], window: Tile, block: int) -> NDArray[np.uint8]:
     """(height, width) of a window, from a value for each block of this side, aligned to the full frame."""
-    rows = np.diff([*block_starts(window.y, window.height, block), window.height])
-    columns = np.diff([*block_starts(window.x, window.width, block), window.width])
+    rows, columns = _sides(window, block)
     result: NDArray[np.uint8] = np.repeat(np.repeat(values, rows, axis=0), columns, axis=1)
     return result
+
+
+def block_sizes(window: Tile, block: int) -> NDArray[np.int64]:
+    """Pixels of each block, rows x columns: fewer where the window's edges cut it."""
+    return np.asarray(np.multiply.outer(*_sides(window, block)), np.int64)
+
+
+def _sides(window: Tile, block: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Heights of the rows of blocks, and widths of the columns."""
+    rows = np.diff([*block_starts(window.y, window.height, block), window.height])
+    return rows, np.diff([*block_starts(window.x, window.width, block), window.width])
 
 
 def _histogram(levels: NDArray[np.uint8]) -> dict[int, int]:

@@ -150,7 +150,8 @@ def test_samples_are_the_mean_over_the_pixels(engine, tmp_path, way):  # type: i
     result = finished(engine, task_of(tmp_path, way))
     found = counts(result)
     assert result.reason is StopReason.SAMPLES
-    assert found.mean() == pytest.approx(64, rel=0.06)
+    one_block = BLOCK**2 * found.max() / 2 / SIDE**2  # what another one on the next level would change
+    assert abs(found.mean() - 64) <= (0.06 * 64 if way is CONTRAST else one_block / 2)
     assert found.min() < 64 < found.max()
     assert result.record.points[-1].samples == pytest.approx(found.mean())
     assert result.record.foretold is not None

@@ -178,6 +178,22 @@ def test_levels_are_the_nearest_in_the_logarithm() -> None:
             assert abs(int(levels[y, x]) - exact) <= 0.5
 
 
+@pytest.mark.parametrize("kept", [0, 4])
+@pytest.mark.parametrize("samples", [5, 16, 33, 100])
+def test_the_samples_that_are_planned_are_met_by_the_mean(samples: int, kept: int) -> None:
+    """Within what one more block on the next level would change, and no block is off its level by more than one."""
+    pilot = blocks(np.random.default_rng(6).lognormal(0, 2, (11, 21)))
+    free = error_levels(WINDOW, pilot, 1.0)
+    planned = LevelMap(WINDOW, error_levels(WINDOW, pilot, 1.0, samples, kept), kept)
+    end = planned.end_for(samples)
+    block = 4 * own_samples(end, 0, kept) / 2 / (21 * 40)
+    assert abs(planned.mean(end) - samples) <= max(block / 2, 1e-9)
+    assert planned.levels is not None
+    thinned = planned.levels.astype(int) - free
+    assert set(np.unique(thinned)) <= {0, 1}
+    assert LevelMap(WINDOW, free, kept).mean(end) >= samples
+
+
 @pytest.mark.parametrize(
     ("halfway", "whole", "theta"),
     [
