@@ -119,13 +119,14 @@ def reachable(source: str) -> set[str]:
     """Functions, and function-like macros, that the kernel can call, by their names."""
     text = re.sub(r"//[^\n]*|^#line[^\n]*", "", preprocessed(source), flags=re.MULTILINE)
     bodies: dict[str, str] = {}
-    for match in re.finditer(r"\b(\w+)\s*\(([^;{}]*)\)\s*\{", text):
+    code = re.sub(r"^#define[^\n]*", "", text, flags=re.MULTILINE)
+    for match in re.finditer(r"\b(\w+)\s*\(([^;{}]*)\)\s*\{", code):
         depth, end = 1, match.end()
         while depth:
-            depth += {"{": 1, "}": -1}.get(text[end], 0)
+            depth += {"{": 1, "}": -1}.get(code[end], 0)
             end += 1
         if match[1] not in ("if", "for", "while", "switch"):
-            bodies.setdefault(match[1], text[match.end() : end])
+            bodies.setdefault(match[1], code[match.end() : end])
     for match in re.finditer(r"#define (\w+)(?:\([^)]*\))? ([^\n]*)", text):
         bodies.setdefault(match[1], match[2])
     found, todo = set(), ["trace"]
@@ -149,14 +150,20 @@ def test_code_of_an_effect_is_in_programs_that_have_it_and_in_no_other(effect: s
         name for name, functions in FUNCTIONS.items() if name != effect and functions & FUNCTIONS[effect]
     }
     without = [name for name in EFFECTS if name not in rivals | {effect}]
-    assert not FUNCTIONS[effect] & reachable(assemble("trace.cl", flags_of(*without)))
     have = {effect, "delta_lights"} | NEEDS.get(effect, set())
-    assert FUNCTIONS[effect] <= reachable(assemble("trace.cl", flags_of(*have)))
+    for compact in (0, 1):
+        one = {"PENUMBRA_COMPACT_TREE": compact}
+        absent = reachable(assemble("trace.cl", flags_of(*without) | one))
+        present = reachable(assemble("trace.cl", flags_of(*have) | one))
+        for function in FUNCTIONS[effect]:
+            forms = {function, f"{function}16"}
+            assert not forms & absent
+            assert forms & present
 
 
 def test_a_program_without_bounces_has_no_loop_over_them() -> None:
     source = preprocessed(assemble("trace.cl", flags_of("delta_lights")))
-    body = source[source.index("bool path_scatter(") :]
+    body = source[source.index("Mask16 scatter16(") :]
     body = body[: body.index("\n}")]
     assert "SLOT_DIRECTION" not in body
     assert "spawn_ray" not in body

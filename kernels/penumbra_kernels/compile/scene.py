@@ -20,6 +20,7 @@ from penumbra_kernels.compile.geometry import compile_geometry
 from penumbra_kernels.compile.lights import compile_lights
 from penumbra_kernels.compile.materials import compile_albedo_table, compile_materials
 from penumbra_kernels.compile.textures import compile_textures
+from penumbra_kernels.compile.together import together
 from penumbra_kernels.compile.transforms import matrix_at
 from penumbra_kernels.features import Features, analyse
 from penumbra_kernels.layout import CONSTANTS, PARAMS
@@ -89,6 +90,7 @@ def compile_scene(
     params["options"] |= CONSTANTS["OPTION_LIGHT_TREE"] if "light_tree" in features else 0
     if "area_lights" in features or "environment" in features:
         params["options"] |= CONSTANTS["OPTION_LIGHTS_TO_MEET"]
+    params["options"] |= together(geometry)
     params["environment_light"] = lights.environment_light
     return CompiledScene(arrays, params, features, geometry.triangle_count, lights.light_count)
 

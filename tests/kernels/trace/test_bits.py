@@ -41,7 +41,7 @@ def test_tiles_and_leases_change_no_bit(device: Device, sampler: str) -> None:
 def test_paths_taken_together_are_the_paths_taken_alone(
     device: Device, integrator: dict[str, object]
 ) -> None:
-    """Whatever their length: in a room, with bounces beyond those whose numbers are drawn ahead, and a roulette."""
+    """Whatever their length: in a room, with long paths and a roulette."""
     data = busy().model_dump(mode="json", exclude_none=True)
     data["integrator"] |= {"max_bounces": 14, "roulette_start": 9, **integrator}
     data["materials"]["wall"] = {"type": "diffuse", "base_color": [0.95, 0.95, 0.95]}

@@ -1,38 +1,11 @@
 // Path tracing: next-event estimation and lobe sampling joined by multiple importance sampling, Russian roulette.
 // Reads the scene, draws the bounce's dimensions, writes nothing but the path. A bounce is a row of steps, which trace_path takes
-// for one path; paths.cl takes each for several.
+// for one path; paths16.cl takes each for sixteen.
 #include "integrators/direct.cl"
-#include "base/effects.h"
-
-// What one path brings back.
-typedef struct {
-  float3 radiance;
-  float alpha;       // 1 where the camera ray met a surface
-  float3 albedo;     // of the first hit
-  float3 normal;     // its shading normal
-  float depth;       // its distance along the camera's axis
-  uint object_id;    // 1 + index of the shape, 0 for none
-  uint effects;      // EFFECT_* bits met on the way
-  uint rays;         // traced, shadow rays included
-} PathSample;
-
-static inline PathSample no_path(void) {
-  PathSample none;
-  none.radiance = (float3)(0.0f);
-  none.alpha = 0.0f;
-  none.albedo = (float3)(0.0f);
-  none.normal = (float3)(0.0f);
-  none.depth = 0.0f;
-  none.object_id = 0u;
-  none.effects = 0u;
-  none.rays = 0u;
-  return none;
-}
+#include "integrators/path_sample.h"
 
 // Weight of light met by a lobe's ray: against the light samples of the hit before, whose expected number is `chance`.
-static inline float hit_weight(const __global Params *params, const bool delta, const float lobe_pdf, const float light_pdf,
-                               const float chance) {
-  if (delta) return 1.0f;
+static inline float hit_weight(const __global Params *params, const float lobe_pdf, const float light_pdf, const float chance) {
   if (params->options & OPTION_NO_MIS) return 0.0f;
   return power_heuristic(lobe_pdf, chance * light_pdf);
 }
@@ -109,7 +82,7 @@ static inline bool path_meet(const SceneData *scene, const __global Params *para
   if (scene->environment_light != NONE) {
     const float3 wi = normalize3(path->ray.d);
     const float weight = path->delta ? 1.0f
-                                     : hit_weight(params, false, path->lobe_pdf, environment_pdf(scene, path->from.n, wi),
+                                     : hit_weight(params, path->lobe_pdf, environment_pdf(scene, path->from.n, wi),
                                                   light_chance(scene, params, &path->from, scene->environment_light));
     path->result.effects |= EFFECT_ENVIRONMENT;
     path->result.radiance += path->beta * environment_radiance(scene, wi) * weight;
@@ -132,7 +105,7 @@ static inline bool path_look(const SceneData *scene, const __global Params *para
       if (!path->delta) {
         const float pdf = light_hit_pdf(scene, light, path->from.p, &at->surface, -wo, at->hit.t * length3(path->ray.d),
                                         path->ray.time);
-        weight = hit_weight(params, false, path->lobe_pdf, pdf, light_chance(scene, params, &path->from, light));
+        weight = hit_weight(params, path->lobe_pdf, pdf, light_chance(scene, params, &path->from, light));
       }
       path->result.effects |= EFFECT_AREA_LIGHT;
       path->result.radiance += path->beta * emitted * weight;
@@ -186,11 +159,12 @@ static inline bool path_scatter(const SceneData *scene, const __global Params *p
   const bool last = bounce >= params->max_bounces;
   const bool alone = last && lights_alone(params, bsdf);
   // Where nothing could come of a direction no number is drawn for it.
-  if (bsdf->type == MATERIAL_BLACK || (alone && bsdf_is_wide(bsdf))) return false;
+  if (bsdf->type == MATERIAL_BLACK || (last && bsdf_is_wide(bsdf))) return false;
   float3 wi, weight;
   uint event;
   const float u_lobe = bsdf_has_lobes(bsdf) ? sample_1d(sampler, DIM_BOUNCE(bounce, SLOT_LOBE)) : 0.0f;
-  const SquarePoint u = bsdf_has_spread(bsdf) ? sample_direction(sampler, bounce) : square_point((float2)(0.5f));
+  const float2 u =
+      bsdf_has_spread(bsdf) ? sample_2d(sampler, DIM_BOUNCE(bounce, SLOT_DIRECTION)) : (float2)(0.5f);
   if (!bsdf_sample(bsdf, u_lobe, u, &wi, &weight, &path->lobe_pdf, &event)) return false;
   path->delta = (event & BSDF_EVENT_DELTA) != 0u;
   // Where light samples are alone they had full weight; mirrors still look for lights, where there are any.

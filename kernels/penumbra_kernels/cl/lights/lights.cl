@@ -13,14 +13,20 @@
 #include "lights/directional.cl"
 #include "lights/environment.cl"
 
-static inline bool area_light_sample(const SceneData *scene, const __global Light *light, const float3 p,
+// The kinds of light that a call may meet, a bit each, as a constant: the code of the others is not there.
+#define EVERY_KIND 0xffu
+static inline bool light_is(const __global Light *light, const uint kinds, const uint kind) {
+  return (kinds >> kind & 1u) != 0u && light->type == kind;
+}
+
+static inline bool area_light_sample(const SceneData *scene, const __global Light *light, const uint kinds, const float3 p,
                                      const float time, const float u_triangle, const float2 u, LightSample *out) {
   out->delta = false;
   out->radiance = load3(light->radiance);
-  if (light->type == LIGHT_QUAD) return quad_light_sample(scene, light, p, time, u, out);
-  if (light->type == LIGHT_DISC) return disc_light_sample(scene, light, p, time, u, out);
-  if (light->type == LIGHT_SPHERE) return sphere_light_sample(scene, light, p, time, u, out);
-  return light->type == LIGHT_MESH && mesh_light_sample(scene, light, p, time, u_triangle, u, out);
+  if (light_is(light, kinds, LIGHT_QUAD)) return quad_light_sample(scene, light, p, time, u, out);
+  if (light_is(light, kinds, LIGHT_DISC)) return disc_light_sample(scene, light, p, time, u, out);
+  if (light_is(light, kinds, LIGHT_SPHERE)) return sphere_light_sample(scene, light, p, time, u, out);
+  return light_is(light, kinds, LIGHT_MESH) && mesh_light_sample(scene, light, p, time, u_triangle, u, out);
 }
 
 // Whether light_sample asks for u_triangle.
@@ -44,10 +50,9 @@ static inline bool light_has_extent(const SceneData *scene, const uint light) {
 #endif
 }
 
-// Samples a direction to a light for a receiver. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing arrives:
-// behind the light, edge-on, at the light itself. *out is whole only where it returns true.
-static inline bool light_sample(const SceneData *scene, const uint light, const Receiver *receiver, const float time,
-                                const float u_triangle, const float2 u, LightSample *out) {
+// light_sample of a light of some kinds.
+static inline bool light_sample_of(const SceneData *scene, const uint light, const uint kinds, const Receiver *receiver,
+                                   const float time, const float u_triangle, const float2 u, LightSample *out) {
 #if PENUMBRA_AREA_LIGHTS || PENUMBRA_DELTA_LIGHTS
   const float3 p = receiver->p;
 #endif
@@ -55,21 +60,28 @@ static inline bool light_sample(const SceneData *scene, const uint light, const 
   const __global Light *record = scene->lights + light;
 #endif
 #if PENUMBRA_ENVIRONMENT
-  if (record->type == LIGHT_ENVIRONMENT) {
+  if (light_is(record, kinds, LIGHT_ENVIRONMENT)) {
     out->delta = false;
     return environment_sample(scene, record, receiver->n, u, out);
   }
 #endif
 #if PENUMBRA_DELTA_LIGHTS
-  if (record->type == LIGHT_POINT) return point_light_sample(scene, record, p, time, out);
-  if (record->type == LIGHT_SPOT) return spot_light_sample(scene, record, p, time, out);
-  if (record->type == LIGHT_DIRECTIONAL) return directional_light_sample(scene, record, time, out);
+  if (light_is(record, kinds, LIGHT_POINT)) return point_light_sample(scene, record, p, time, out);
+  if (light_is(record, kinds, LIGHT_SPOT)) return spot_light_sample(scene, record, p, time, out);
+  if (light_is(record, kinds, LIGHT_DIRECTIONAL)) return directional_light_sample(scene, record, time, out);
 #endif
 #if PENUMBRA_AREA_LIGHTS
-  return area_light_sample(scene, record, p, time, u_triangle, u, out);
+  return area_light_sample(scene, record, kinds, p, time, u_triangle, u, out);
 #else
   return false;
 #endif
+}
+
+// Samples a direction to a light for a receiver. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing
+// arrives: behind the light, edge-on, at the light itself. *out is whole only where it returns true.
+static inline bool light_sample(const SceneData *scene, const uint light, const Receiver *receiver, const float time,
+                                const float u_triangle, const float2 u, LightSample *out) {
+  return light_sample_of(scene, light, EVERY_KIND, receiver, time, u_triangle, u, out);
 }
 
 // Radiance that a surface emits towards wo: on its front alone, unless it is two-sided.
@@ -85,17 +97,24 @@ static inline float3 light_emitted(const SceneData *scene, const Surface *surfac
 #endif
 }
 
+// light_hit_pdf of a light of some kinds.
+static inline float light_hit_pdf_of(const SceneData *scene, const uint light, const uint kinds, const float3 p,
+                                     const float3 ng, const uint primitive, const float3 wi, const float distance,
+                                     const float time) {
+#if PENUMBRA_AREA_LIGHTS
+  const __global Light *record = scene->lights + light;
+  if (light_is(record, kinds, LIGHT_QUAD)) return quad_light_hit_pdf(scene, record, p, distance, time);
+  if (light_is(record, kinds, LIGHT_DISC)) return disc_light_hit_pdf(scene, record, p, distance, time);
+  if (light_is(record, kinds, LIGHT_SPHERE)) return sphere_light_hit_pdf(scene, record, p, ng, wi, distance, time);
+  return mesh_light_hit_pdf(scene, record, p, primitive, distance, time);
+#else
+  return 0.0f;
+#endif
+}
+
 // Density with which light_sample at p finds the direction wi that met `light` at `hit`, `distance` away. 0 where it never
 // does: behind, edge-on.
 static inline float light_hit_pdf(const SceneData *scene, const uint light, const float3 p, const Surface *hit,
                                   const float3 wi, const float distance, const float time) {
-#if PENUMBRA_AREA_LIGHTS
-  const __global Light *record = scene->lights + light;
-  if (record->type == LIGHT_QUAD) return quad_light_hit_pdf(scene, record, p, distance, time);
-  if (record->type == LIGHT_DISC) return disc_light_hit_pdf(scene, record, p, distance, time);
-  if (record->type == LIGHT_SPHERE) return sphere_light_hit_pdf(scene, record, p, hit->ng, wi, distance, time);
-  return mesh_light_hit_pdf(scene, record, p, hit->primitive, distance, time);
-#else
-  return 0.0f;
-#endif
+  return light_hit_pdf_of(scene, light, EVERY_KIND, p, hit->ng, hit->primitive, wi, distance, time);
 }

@@ -36,24 +36,38 @@ typedef struct {
   float distance0, distance3;  // rectangle, fan: of corners 0 and 3
 } QuadView;
 
-static inline Quad quad_at(const SceneData *scene, const __global Light *light, const float time) {
+static inline float3 quad_reach(const Quad *q) { return abs3(q->o) + abs3(q->u) + abs3(q->v); }
+
+// The quad as its record has it.
+static inline Quad still_quad(const __global Light *light) {
   Quad q;
   q.o = load3(light->position);
   q.u = load3(light->direction);
   q.v = load3(light->axis_v);
-  float3 reach = abs3(q.o) + abs3(q.u) + abs3(q.v);
+  q.p_error = quad_reach(&q) * PLACED_ERROR;
+  return q;
+}
+
+static inline Quad quad_at(const SceneData *scene, const __global Light *light, const float time) {
+  Quad q = still_quad(light);
   float m[3][4], inverse[3][4];
   if (area_light_placement(scene, light, time, m, inverse)) {
     const bool mirrored = determinant(m) < 0.0f;  // outside stays outside: swapped edges turn the normal back
     const float3 u = transform_vector(m, q.u);
     const float3 v = transform_vector(m, q.v);
-    reach = transform_magnitude(m, reach);
+    q.p_error = transform_magnitude(m, quad_reach(&q)) * PLACED_ERROR;
     q.o = transform_point(m, q.o);
     q.u = mirrored ? v : u;
     q.v = mirrored ? u : v;
   }
-  q.p_error = reach * PLACED_ERROR;
   return q;
+}
+
+// Square of half its longer diagonal.
+static inline float quad_size(const Quad *q) {
+  const float3 half_u = 0.5f * q->u;
+  const float3 half_v = 0.5f * q->v;
+  return dot3(half_u, half_u) + dot3(half_v, half_v) + 2.0f * FABS(dot3(half_u, half_v));
 }
 
 // Corner i of the quad relative to p, counter-clockwise from its origin.
@@ -106,11 +120,8 @@ static inline bool quad_view(const Quad *q, const float3 p, const bool two_sided
   view->solid_angle = 0.0f;
   view->distance0 = view->distance3 = 0.0f;
 #if !PENUMBRA_LIGHT_AREA_SAMPLING
-  const float3 half_u = 0.5f * q->u;
-  const float3 half_v = 0.5f * q->v;
-  const float3 center = view->o + half_u + half_v;
-  const float size = dot3(half_u, half_u) + dot3(half_v, half_v) + 2.0f * FABS(dot3(half_u, half_v));
-  if (size >= FLAT_FAR * dot3(center, center)) {
+  const float3 center = view->o + 0.5f * q->u + 0.5f * q->v;
+  if (quad_size(q) >= FLAT_FAR * dot3(center, center)) {
     quad_solid_angle(q, view);
     view->strategy = view->solid_angle >= RECTANGLE_SOLID_ANGLE && quad_is_rectangle(q) ? QUAD_BY_RECTANGLE : QUAD_BY_FAN;
   }

@@ -19,7 +19,7 @@ static inline float8 sqrt8(const float8 x) {
 static inline float8 sqrt8(const float8 x) { return sqrt(x); }
 #endif
 
-#define LANES(array) (*(const __global float8 *)(array))
+#define LANES8(array) (*(const __global float8 *)(array))
 
 // Floor of squared distances, m^2, and of weights that are not 0: both keep every sum finite and above 0.
 #define LEAST_SQUARE 1e-20f
@@ -59,10 +59,10 @@ static inline float8 halved(const float8 weight, const int8 far) {
 // Weights of the eight children. Far lights have no distance and emit to everywhere.
 static inline float8 light_weights(const __global LightNode *node, const Receiver *receiver, const bool root) {
   const float8 zero = 0.0f, one = 1.0f;
-  const float8 radius = LANES(node->radius), strength = LANES(node->strength);
-  const float8 cos_spread = LANES(node->cos_spread), sin_spread = sine_of(cos_spread);
+  const float8 radius = LANES8(node->radius), strength = LANES8(node->strength);
+  const float8 cos_spread = LANES8(node->cos_spread), sin_spread = sine_of(cos_spread);
   const int8 far = radius < zero;
-  const float8 cx = LANES(node->x), cy = LANES(node->y), cz = LANES(node->z);
+  const float8 cx = LANES8(node->x), cy = LANES8(node->y), cz = LANES8(node->z);
   const float8 dx = far ? cx : cx - receiver->p.x;
   const float8 dy = far ? cy : cy - receiver->p.y;
   const float8 dz = far ? cz : cz - receiver->p.z;
@@ -77,11 +77,11 @@ static inline float8 light_weights(const __global LightNode *node, const Receive
   const float8 sin_bounds = far ? sin_spread : (inside ? zero : sin_near);
   const float8 cos_bounds = far ? cos_spread : (inside ? -one : sine_of(sin_near));
   // Least angle off a normal at which they can emit towards the receiver.
-  const float8 cos_axis = MAX8(MIN8(-(LANES(node->axis_x) * wx + LANES(node->axis_y) * wy + LANES(node->axis_z) * wz), one), -one);
+  const float8 cos_axis = MAX8(MIN8(-(LANES8(node->axis_x) * wx + LANES8(node->axis_y) * wy + LANES8(node->axis_z) * wz), one), -one);
   float8 sin_off, sin_least;
   const float8 cos_off = cosine_less(cos_axis, sine_of(cos_axis), cos_spread, sin_spread, &sin_off);
   const float8 cos_least = cosine_less(cos_off, sin_off, cos_bounds, sin_bounds, &sin_least);
-  int8 lit = (strength > zero) & (far | (cos_least >= LANES(node->cos_falloff)));
+  int8 lit = (strength > zero) & (far | (cos_least >= LANES8(node->cos_falloff)));
   float8 weight = far ? strength : strength / nearest * cos_least;
   const float3 n = receiver->n;
   if (n.x != 0.0f || n.y != 0.0f || n.z != 0.0f) {

@@ -175,18 +175,18 @@ static inline float3 lobes_eval(const Bsdf *b, const float3 wi, float *pdf) {
   return (float3)(0.0f);
 }
 
-static inline bool lobes_sample(const Bsdf *b, const float u_lobe, const SquarePoint at, BsdfSample *out) {
-  if (b->type == MATERIAL_DIFFUSE) return diffuse_sample(at, out);
+static inline bool lobes_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
+  if (b->type == MATERIAL_DIFFUSE) return diffuse_sample(u, out);
 #if PENUMBRA_GLOSS
-  if (b->type == MATERIAL_PHONG) return phong_sample(b, u_lobe, at, out);
+  if (b->type == MATERIAL_PHONG) return phong_sample(b, u_lobe, u, out);
   if (b->type == MATERIAL_MIRROR) return mirror_sample(b, out);
-  if (b->type == MATERIAL_CONDUCTOR) return conductor_sample(b, u_lobe, at.u, out);
-  if (b->type == MATERIAL_PLASTIC) return plastic_sample(b, u_lobe, at, out);
+  if (b->type == MATERIAL_CONDUCTOR) return conductor_sample(b, u_lobe, u, out);
+  if (b->type == MATERIAL_PLASTIC) return plastic_sample(b, u_lobe, u, out);
 #endif
 #if PENUMBRA_TRANSMISSION
-  if (b->type == MATERIAL_DIELECTRIC) return dielectric_sample(b, u_lobe, at.u, out);
-  if (b->type == MATERIAL_THIN_DIELECTRIC) return thin_dielectric_sample(b, u_lobe, at.u, out);
-  if (b->type == MATERIAL_DIFFUSE_TRANSMISSION) return diffuse_transmission_sample(b, u_lobe, at, out);
+  if (b->type == MATERIAL_DIELECTRIC) return dielectric_sample(b, u_lobe, u, out);
+  if (b->type == MATERIAL_THIN_DIELECTRIC) return thin_dielectric_sample(b, u_lobe, u, out);
+  if (b->type == MATERIAL_DIFFUSE_TRANSMISSION) return diffuse_transmission_sample(b, u_lobe, u, out);
 #endif
   return false;
 }
@@ -211,10 +211,10 @@ static inline float3 sampled_direction(const Bsdf *b, const BsdfSample *out) {
   return straight ? -b->wo_world : to_world(b, out->wi);
 }
 
-static inline bool bsdf_sample(const Bsdf *b, const float u_lobe, const SquarePoint at, float3 *wi, float3 *weight,
+static inline bool bsdf_sample(const Bsdf *b, const float u_lobe, const float2 u, float3 *wi, float3 *weight,
                                float *pdf, uint *event) {
   BsdfSample out;
-  if (!lobes_sample(b, u_lobe, at, &out)) return false;
+  if (!lobes_sample(b, u_lobe, u, &out)) return false;
   *wi = sampled_direction(b, &out);
   *event = out.event;
   const bool transmits = (out.event & BSDF_EVENT_TRANSMIT) != 0u;

@@ -47,9 +47,9 @@ static inline float reuse_below(const float u, const float p) { return MIN(u / p
 static inline float reuse_above(const float u, const float p) { return MIN((u - p) / (1.0f - p), ONE_MINUS_EPSILON); }
 
 // Cosine-distributed direction about +z; density z / pi.
-static inline float3 cosine_direction(const SquarePoint at) {
+static inline float3 cosine_direction(const float2 u) {
   float pdf;
-  return at.has_cosine ? at.cosine : square_to_cosine_hemisphere(at.u, &pdf);
+  return square_to_cosine_hemisphere(u, &pdf);
 }
 
 static inline void delta_event(BsdfSample *out, const float3 wi, const float3 weight, const float probability,

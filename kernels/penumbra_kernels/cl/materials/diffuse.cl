@@ -7,7 +7,7 @@ static inline float3 diffuse_eval(const Bsdf *b, const float3 wi, float *pdf) {
   return b->color0 * *pdf;
 }
 
-static inline bool diffuse_sample(const SquarePoint at, BsdfSample *out) {
-  smooth_event(out, cosine_direction(at));
+static inline bool diffuse_sample(const float2 u, BsdfSample *out) {
+  smooth_event(out, cosine_direction(u));
   return true;
 }

@@ -36,9 +36,9 @@ static inline float3 plastic_eval(const Bsdf *b, const float3 wi, float *pdf) {
   return value;
 }
 
-static inline bool plastic_sample(const Bsdf *b, const float u_lobe, const SquarePoint at, BsdfSample *out) {
+static inline bool plastic_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
   if (u_lobe >= b->lobe) {
-    smooth_event(out, cosine_direction(at));
+    smooth_event(out, cosine_direction(u));
     return true;
   }
   if (b->alpha_x == 0.0f) {
@@ -47,6 +47,6 @@ static inline bool plastic_sample(const Bsdf *b, const float u_lobe, const Squar
     delta_event(out, mirror_of(b->wo), (float3)(fresnel / b->lobe), b->lobe, 0u);
     return true;
   }
-  smooth_event(out, reflect_about(b->wo, ggx_sample_visible(b->wo, b->alpha_x, b->alpha_y, at.u)));
+  smooth_event(out, reflect_about(b->wo, ggx_sample_visible(b->wo, b->alpha_x, b->alpha_y, u)));
   return out->event == 0u;
 }

@@ -29,9 +29,6 @@
 #include "sampling/sobol.cl"
 #define DRAW_1D sobol_1d
 #define DRAW_2D sobol_2d
-#if PENUMBRA_AHEAD
-#include "sampling/ahead.cl"
-#endif
 #endif
 #if PENUMBRA_SAMPLER == SAMPLER_BLUE_NOISE
 #include "sampling/blue_noise.cl"
@@ -76,9 +73,6 @@ static inline void sampler_next(Sampler *s, const ulong index) {
 #if PENUMBRA_SAMPLER == SAMPLER_SOBOL
   s->reversed = REVERSE_BITS((uint)index);
 #endif
-#if PENUMBRA_AHEAD
-  ahead_next(s);
-#endif
 }
 
 // random: point `k` of those that fell into the pixel with index `index`; each is independent of all others.
@@ -104,29 +98,12 @@ static inline const Sampler *stream_of(const Sampler *s, const ulong dim, const 
 }
 
 static inline float sample_1d(const Sampler *s, const ulong dim) {
-#if PENUMBRA_AHEAD
-  return ahead_1d(s, dim);
-#else
   Sampler other;
   return DRAW_1D(stream_of(s, dim, 1u, &other), dim, s->index, s->strata);
-#endif
 }
 static inline float2 sample_2d(const Sampler *s, const ulong dim) {
-#if PENUMBRA_AHEAD
-  return ahead_2d(s, dim);
-#else
   Sampler other;
   return DRAW_2D(stream_of(s, dim, 2u, &other), dim, s->index, s->strata);
-#endif
-}
-// The point of a bounce's SLOT_DIRECTION.
-static inline SquarePoint sample_direction(const Sampler *s, const uint bounce) {
-  const ulong dim = DIM_BOUNCE(bounce, SLOT_DIRECTION);
-#if PENUMBRA_AHEAD
-  return ahead_direction(s, dim);
-#else
-  return square_point(sample_2d(s, dim));
-#endif
 }
 
 // Planned elements where each sample draws m; saturates, since blocks are cut at MAX_STRATA anyway.

@@ -11,9 +11,6 @@
 #include "base/hash.cl"
 #include "base/dimensions.h"
 
-#if PENUMBRA_AHEAD
-typedef struct Ahead Ahead;  // numbers of the samples to come (ahead.cl)
-#endif
 
 typedef struct {
   ulong key;      // hash of (seed, pixel, replicate)
@@ -25,9 +22,6 @@ typedef struct {
   uint stride;    // samples of all replicates between two of this one (regular)
   ulong rank;     // the pixel's rank on the Z-curve (blue noise), the replicate (regular)
   ulong frame_key;  // hash of (seed, replicate): the same in every pixel (blue noise)
-#if PENUMBRA_AHEAD
-  Ahead *ahead;
-#endif
 #if PENUMBRA_PICK_FREEZE
   uint other_groups;  // GROUP_* bits that draw from a second, independent stream
 #endif

@@ -27,22 +27,6 @@ static inline float3 square_to_cosine_hemisphere(const float2 u, float *pdf) {
   *pdf = z * INV_PI_F;
   return (float3)(d.x, d.y, z);
 }
-// A point of the square and, where it was computed with the point (sampling/ahead.cl), the direction that
-// square_to_cosine_hemisphere makes of it.
-typedef struct {
-  float2 u;
-  float3 cosine;
-  bool has_cosine;
-} SquarePoint;
-
-static inline SquarePoint square_point(const float2 u) {
-  SquarePoint at;
-  at.u = u;
-  at.cosine = (float3)(0.0f);
-  at.has_cosine = false;
-  return at;
-}
-
 static inline float cosine_hemisphere_pdf(const float cos_theta) { return MAX(cos_theta, 0.0f) * INV_PI_F; }
 
 // Uniform on the unit sphere; density 1 / (4 pi). z and its sine come from the same factors: no cancellation at the poles.

@@ -198,10 +198,11 @@ class LightBench:
     light = staticmethod(light)
     scene = LightScene
     NONE = NONE
+    text = TEXT
 
     def __init__(self, device: Device, flags: Mapping[str, int] | None = None) -> None:
         self.device = device
-        program = device.build("lights_test.cl", {**EVERYTHING, **(flags or {})}, TEXT)
+        program = device.build("lights_test.cl", {**EVERYTHING, **(flags or {})}, self.text)
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
 
     def _run(self, kernel: str, out: Array, count: int, scene: LightScene, *arguments: Any) -> None:

@@ -52,7 +52,7 @@ __kernel void sample(const __global ShapeData *shapes, const __global Material *
   float3 wi = (float3)(0.0f), w = (float3)(0.0f);
   float p = 0.0f;
   uint e = 0u;
-  const bool goes_on = bsdf_sample(&b, u[3 * i], square_point((float2)(u[3 * i + 1], u[3 * i + 2])), &wi, &w, &p, &e);
+  const bool goes_on = bsdf_sample(&b, u[3 * i], (float2)(u[3 * i + 1], u[3 * i + 2]), &wi, &w, &p, &e);
   store3(direction + 3 * i, wi);
   store3(weight + 3 * i, w);
   pdf[i] = p;

@@ -1,0 +1,362 @@
+// Sixteen paths of a pixel at once, a lane each: every step of a bounce (path.cl) is taken for all lanes that it concerns before the
+// next one. Lanes never meet: each gives the bits that trace_path gives. For CPUs, whose vector units do sixteen lanes in the time of
+// one; a GPU's threads are lanes already.
+#include "integrators/path.cl"
+#include "geometry/rays16.cl"
+#include "geometry/surface16.cl"
+#include "geometry/spawn16.cl"
+#include "lights/lights16.cl"
+#include "materials/bsdf16.cl"
+#include "sampling/sampler16.cl"
+
+// PathSample and Path of each lane.
+typedef struct {
+  Vec16 radiance;
+  float16 alpha;
+#if PENUMBRA_LAYERS
+  Vec16 albedo, normal;
+  float16 depth;
+  uint16 object_id;
+#endif
+  uint16 effects, rays;
+  Ray16 ray;
+  Vec16 beta;
+  Receiver16 from;
+  float16 lobe_pdf;
+  Mask16 delta;
+  Vec16 direct;
+} Paths16;
+
+static inline void paths_start16(Paths16 *p, const Ray16 ray) {
+  const Vec16 zero = all16((float3)(0.0f));
+  p->radiance = zero;
+  p->alpha = 0.0f;
+#if PENUMBRA_LAYERS
+  p->albedo = p->normal = zero;
+  p->depth = 0.0f;
+  p->object_id = 0u;
+#endif
+  p->effects = p->rays = 0u;
+  p->ray = ray;
+  p->beta = all16((float3)(1.0f));
+  p->from.p = p->from.n = zero;
+  p->lobe_pdf = 0.0f;
+  p->delta = -1;
+}
+
+static inline PathSample lane_sample(const Paths16 *p, const uint k) {
+  PathSample s;
+  s.radiance = lane3(&p->radiance, k);
+  s.alpha = LANE_F(p->alpha, k);
+#if PENUMBRA_LAYERS
+  s.albedo = lane3(&p->albedo, k);
+  s.normal = lane3(&p->normal, k);
+  s.depth = LANE_F(p->depth, k);
+  s.object_id = LANE_U(p->object_id, k);
+#else
+  s.albedo = s.normal = (float3)(0.0f);
+  s.depth = 0.0f;
+  s.object_id = 0u;
+#endif
+  s.effects = LANE_U(p->effects, k);
+  s.rays = LANE_U(p->rays, k);
+  return s;
+}
+
+static inline float16 power_heuristic16(const float16 a, const float16 b) {
+  const float16 r = b / a, zero = 0.0f;
+  return a <= 0.0f ? zero : 1.0f / (1.0f + r * r);
+}
+
+// hit_weight of the lanes' last lobes, which are no mirrors.
+static inline float16 hit_weight16(const __global Params *params, const float16 lobe_pdf, const float16 light_pdf,
+                                   const float16 chance) {
+  if (params->options & OPTION_NO_MIS) return (float16)(0.0f);
+  return power_heuristic16(lobe_pdf, chance * light_pdf);
+}
+
+static inline float16 light_chance16(const SceneData *scene, const __global Params *params, const Receiver16 *receiver,
+                                     const uint light, const Mask16 on) {
+  const float16 picks = (float)params->shadow_rays;
+  return params->options & OPTION_ALL_LIGHTS ? picks : picks * light_pmf16(scene, receiver, (uint16)(light), on);
+}
+
+static inline void add_where16(const Mask16 on, const Vec16 value, Vec16 *sum) { *sum = where16(on, add16(*sum, value), *sum); }
+
+// What lanes that left the scene bring from the environment.
+static inline void leave16(const SceneData *scene, const __global Params *params, const Mask16 on, Paths16 *p) {
+#if PENUMBRA_ENVIRONMENT
+  if (scene->environment_light == NONE || !any16(on)) return;
+  const Vec16 wi = normalize16(p->ray.d);
+  float16 weight = 1.0f;
+  const Mask16 shared = on & ~p->delta;
+  if (any16(shared)) {
+    const float16 chance = light_chance16(scene, params, &p->from, scene->environment_light, shared);
+    const float16 pdf = environment_pdf16(scene, p->from.n, wi, shared);
+    weight = shared ? hit_weight16(params, p->lobe_pdf, pdf, chance) : weight;
+  }
+  p->effects |= on ? (uint16)(EFFECT_ENVIRONMENT) : (uint16)(0u);
+  add_where16(on, scale16(mul16(p->beta, environment_radiance16(scene, wi, on)), weight), &p->radiance);
+#endif
+}
+
+// What the lanes of `on`, which all met light number `light`, bring from it.
+static inline void meet_light16(const SceneData *scene, const __global Params *params, const uint light, const Hit16 *hit,
+                                const Surface16 *surface, const Vec16 wo, const Mask16 on, Paths16 *p) {
+#if PENUMBRA_AREA_LIGHTS
+  const Vec16 emitted = light_emitted16(scene, light, surface->ng, wo, on);
+  const Mask16 shines = on & (max3_16(emitted) > 0.0f);
+  if (!any16(shines)) return;
+  float16 weight = 1.0f;
+  const Mask16 shared = shines & ~p->delta;
+  if (any16(shared)) {
+    const float16 distance = hit->t * length16(p->ray.d);
+    const float16 pdf = light_hit_pdf16(scene, light, p->from.p, surface->ng, surface->primitive, neg16(wo), distance,
+                                        p->ray.time, shared);
+    const float16 chance = light_chance16(scene, params, &p->from, light, shared);
+    weight = shared ? hit_weight16(params, p->lobe_pdf, pdf, chance) : weight;
+  }
+  p->effects |= shines ? (uint16)(EFFECT_AREA_LIGHT) : (uint16)(0u);
+  add_where16(shines, scale16(mul16(p->beta, emitted), weight), &p->radiance);
+#endif
+}
+
+#if PENUMBRA_LAYERS
+static inline void layers16(const SceneData *scene, const __global Params *params, const Hit16 *hit, const Surface16 *surface,
+                            const Bsdf16 *bsdf, const Mask16 on, Paths16 *p) {
+  const float3 axis = camera_axis(&params->camera);
+  p->albedo = where16(on, bsdf_albedo16(scene, bsdf, on), p->albedo);
+  p->normal = where16(on, surface->ns, p->normal);
+  p->depth = on ? hit->t * dot16(p->ray.d, all16(axis)) : p->depth;
+  for (LANES_OF(k, on)) {
+    const Surface s = lane_surface(surface, k);
+    LANE_U(p->object_id, k) = object_of(scene, &s);
+  }
+}
+#endif
+
+// path_look: the lanes that go on.
+static inline Mask16 look16(const SceneData *scene, const __global Params *params, const uint bounce, const Hit16 *hit,
+                            const Mask16 on, Paths16 *p, Surface16 *surface, Bsdf16 *bsdf) {
+  surfaces16(scene, &p->ray, hit, on, surface);
+  const Vec16 wo = neg16(normalize16(p->ray.d));
+#if PENUMBRA_AREA_LIGHTS
+  const uint16 light = shape_field16(&scene->shapes->light, surface->shape, on);
+  Mask16 lamps = on & (light != NONE);
+  while (any16(lamps)) {
+    const uint which = LANE_U(light, CTZ(mask16(lamps)));
+    const Mask16 same = lamps & (light == which);
+    meet_light16(scene, params, which, hit, surface, wo, same, p);
+    lamps &= ~same;
+  }
+#endif
+  if (bounce > params->max_bounces) return (Mask16)(0);
+  bsdf_start16(scene, surface, wo, on, bsdf);
+  if (bounce == 0u) {
+    p->alpha = on ? (float16)(1.0f) : p->alpha;
+#if PENUMBRA_LAYERS
+    layers16(scene, params, hit, surface, bsdf, on, p);
+#endif
+  }
+  const Vec16 zero = all16((float3)(0.0f));
+  p->from.p = surface->p;
+  p->from.n = where16(bsdf_transmits16(bsdf), zero, bsdf->n);
+  p->direct = zero;
+  return on;
+}
+
+static inline Mask16 lights_alone16(const __global Params *params, const Bsdf16 *bsdf) {
+  const bool all = (params->options & (OPTION_LIGHTS_TO_MEET | OPTION_NO_MIS)) != OPTION_LIGHTS_TO_MEET;
+  return all ? (Mask16)(-1) : bsdf_is_wide16(bsdf);
+}
+
+// Rays to lights, and what they bring unless something is in between.
+typedef struct {
+  Ray16 ray;
+  Vec16 value;
+  uint16 effect;
+} LightRay16;
+
+// Numbers for a sample of each lane's light: only of those that ask for them.
+typedef struct {
+  Point16 u;
+  float16 triangle;
+} LightNumbers16;
+
+static inline LightNumbers16 light_numbers16(const SceneData *scene, const Sampler16 *samples, const uint16 light, const ulong dim,
+                                             const ulong dim_triangle, const uint j, const uint picks, const Mask16 on) {
+  LightNumbers16 numbers;
+  numbers.u.x = numbers.u.y = numbers.triangle = 0.0f;
+  const Mask16 extent = on & lights_have_extent16(scene, light, on), triangles = on & lights_have_triangles16(scene, light, on);
+  if (any16(extent)) numbers.u = sample_2d_of16(samples, dim, j, picks, extent);
+  if (any16(triangles)) numbers.triangle = sample_1d_of16(samples, dim_triangle, j, picks, triangles);
+  return numbers;
+}
+
+// light_ray of the lanes of `on`, which all ask light number `light`: those to which something may come.
+static inline Mask16 light_rays16(const SceneData *scene, const Surface16 *surface, const Bsdf16 *bsdf, const Receiver16 *receiver,
+                                  const uint light, const float16 time, const LightNumbers16 *u,
+                                  const float16 chance, const Mask16 use_mis, const Mask16 on, LightRay16 *out) {
+  LightSample16 sample;
+  bool delta;
+  Mask16 come = light_sample16(scene, light, receiver, time, u->triangle, u->u.x, u->u.y, on, &sample, &delta);
+  if (!any16(come)) return come;
+  float16 lobe_pdf;
+  const Vec16 value = mul16(bsdf_eval16(scene, bsdf, sample.wi, come, &lobe_pdf), sample.radiance);
+  come &= !(value.x + value.y + value.z == 0.0f);
+  if (!any16(come)) return come;
+  const float16 one = 1.0f;
+  const float16 weight = delta ? one : use_mis ? power_heuristic16(chance * sample.pdf, lobe_pdf) : one;
+  const Mask16 near = come & (sample.distance < INF_F);
+  Ray16 ray = spawn_ray16(surface, sample.wi, time);
+  if (any16(near)) {
+    const Ray16 to = spawn_ray_to16(surface, sample.p, sample.p_error, sample.n, time);
+    ray.o = where16(near, to.o, ray.o);
+    ray.d = where16(near, to.d, ray.d);
+    ray.tmax = near ? to.tmax : ray.tmax;
+  }
+  out->ray.o = where16(come, ray.o, out->ray.o);
+  out->ray.d = where16(come, ray.d, out->ray.d);
+  out->ray.tmax = come ? ray.tmax : out->ray.tmax;
+  out->ray.time = time;
+  out->value = where16(come, scale16(value, weight / sample.pdf), out->value);
+  out->effect = come ? (uint16)(delta ? EFFECT_DELTA_LIGHT : EFFECT_AREA_LIGHT) : out->effect;
+  return come;
+}
+
+// direct_ray: the lanes to which something may come.
+static inline Mask16 direct_rays16(const SceneData *scene, const __global Params *params, const Sampler16 *samples,
+                                   const Surface16 *surface, const Bsdf16 *bsdf, const Receiver16 *receiver, const uint bounce,
+                                   const uint n, const float16 time, const Mask16 use_mis, const Mask16 on, LightRay16 *out) {
+  const uint picks = params->shadow_rays;
+  if (params->options & OPTION_ALL_LIGHTS) {
+    const uint light = n / picks, j = n - light * picks;
+    const LightNumbers16 u = light_numbers16(scene, samples, (uint16)(light), DIM_LIGHT(bounce, SLOT_LIGHT, light),
+                                             DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks, on);
+    return light_rays16(scene, surface, bsdf, receiver, light, time, &u, (float16)((float)picks), use_mis, on, out);
+  }
+  float16 us = 0.0f, pmf;
+  if (light_entries(scene) > 1u) us = sample_1d_of16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks, on);
+  const uint16 light = light_choose16(scene, receiver, us, on, &pmf);
+  Mask16 left = on & (pmf > 0.0f), come = 0;
+  const LightNumbers16 u = light_numbers16(scene, samples, light, DIM_BOUNCE(bounce, SLOT_LIGHT),
+                                           DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), n, picks, left);
+  const float16 chance = (float)picks * pmf;
+  while (any16(left)) {
+    const uint which = LANE_U(light, CTZ(mask16(left)));
+    const Mask16 same = left & (light == which);
+    come |= light_rays16(scene, surface, bsdf, receiver, which, time, &u, chance, use_mis, same, out);
+    left &= ~same;
+  }
+  out->value = scale16(out->value, 1.0f / pmf);
+  return come;
+}
+
+// Whether rays go through the tree together: alike ones wherever the tree holds what rays16.cl knows, and any where it is small.
+static inline bool together16(const __global Params *params, const bool alike) {
+  return (params->options & (alike ? OPTION_TOGETHER_ALIKE : OPTION_TOGETHER)) != 0u;
+}
+
+// Rays of one pixel's hits to lights are alike, but for those to the environment, which go anywhere.
+static inline bool alike_to_lights16(const LightRay16 *rays, const uint bounce, const Mask16 on) {
+  return bounce == 0u && !any16(on & (rays->ray.tmax == INF_F) & (rays->effect != EFFECT_DELTA_LIGHT));
+}
+
+// Asks the lights, number n of the samples, and follows the rays to them.
+static inline void shine16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                           const uint n, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p) {
+  const Mask16 smooth = on & bsdf_has_smooth16(bsdf);
+  if (!any16(smooth)) return;
+  Mask16 use_mis = (params->options & OPTION_NO_MIS) ? (Mask16)(0) : (Mask16)(-1);
+  if (bounce >= params->max_bounces) use_mis &= ~lights_alone16(params, bsdf);
+  LightRay16 rays;
+  rays.ray = p->ray;
+  rays.value = p->direct;
+  rays.effect = 0u;
+  const Mask16 lit = direct_rays16(scene, params, samples, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, &rays);
+  if (!any16(lit)) return;
+  p->rays += lit ? (uint16)(1u) : (uint16)(0u);
+  const bool together = together16(params, alike_to_lights16(&rays, bounce, lit));
+  const Mask16 arrive = lit & ~occluded16(scene, together, &rays.ray, lit);
+  p->effects |= arrive ? rays.effect : (uint16)(0u);
+  add_where16(arrive, rays.value, &p->direct);
+}
+
+static inline void gather_light16(const __global Params *params, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p) {
+  const float16 share = 1.0f / (float)params->shadow_rays;
+  add_where16(on & bsdf_has_smooth16(bsdf), mul16(p->beta, scale16(p->direct, share)), &p->radiance);
+}
+
+static inline Mask16 roulette16(const __global Params *params, const Sampler16 *samples, const uint bounce, const Mask16 on,
+                                Vec16 *beta) {
+  if (bounce < params->roulette_start) return on;
+  const float16 survival = max3_16(*beta);
+  const Mask16 played = on & !(survival >= 1.0f);
+  if (!any16(played)) return on;
+  const Mask16 survives = sample_1d16(samples, DIM_BOUNCE(bounce, SLOT_ROULETTE), played) < survival;
+  *beta = where16(played, scale16(*beta, 1.0f / survival), *beta);
+  return on & (~played | survives);
+}
+
+// path_scatter: the lanes that go on.
+static inline Mask16 scatter16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                               const Surface16 *surface, const Bsdf16 *bsdf, Mask16 on, Paths16 *p) {
+#if PENUMBRA_INDIRECT
+  const bool last = bounce >= params->max_bounces;
+  const Mask16 alone = last ? lights_alone16(params, bsdf) : (Mask16)(0);
+  on &= (bsdf->type != MATERIAL_BLACK);
+  if (last) on &= ~bsdf_is_wide16(bsdf);
+  if (!any16(on)) return on;
+  float16 u_lobe = 0.0f;
+  const Mask16 lobes = on & bsdf_has_lobes16(bsdf);
+  if (any16(lobes)) u_lobe = lobes ? sample_1d16(samples, DIM_BOUNCE(bounce, SLOT_LOBE), lobes) : u_lobe;
+  Point16 u;
+  u.x = u.y = 0.5f;
+  const Mask16 spread = on & bsdf_has_spread16(bsdf);
+  if (any16(spread)) {
+    const Point16 drawn = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_DIRECTION), spread);
+    u.x = spread ? drawn.x : u.x;
+    u.y = spread ? drawn.y : u.y;
+  }
+  Vec16 wi, weight;
+  float16 pdf;
+  uint16 event;
+  on = bsdf_sample16(scene, bsdf, u_lobe, u, on, &wi, &weight, &pdf, &event);
+  p->lobe_pdf = on ? pdf : p->lobe_pdf;
+  p->delta = (event & BSDF_EVENT_DELTA) != 0u;
+  if (last) on &= p->delta ? (Mask16)(light_entries(scene) == 0u ? 0 : -1) : ~alone;
+  p->beta = where16(on, mul16(p->beta, weight), p->beta);
+  const uint16 sort = p->delta ? (uint16)(EFFECT_GLOSS) : (uint16)(EFFECT_DIFFUSE);
+  const uint16 effect = (event & BSDF_EVENT_TRANSMIT) != 0u ? (uint16)(EFFECT_TRANSMISSION) : sort;
+  p->effects |= on ? effect : (uint16)(0u);
+  const float16 throughput = p->beta.x + p->beta.y + p->beta.z;
+  const Mask16 dark = on & !(throughput > 0.0f);
+  p->radiance = where16(dark & (throughput != throughput), p->beta, p->radiance);
+  on &= ~dark;
+  if (!any16(on)) return on;
+  on = roulette16(params, samples, bounce, on, &p->beta);
+  p->ray = spawn_ray16(surface, wi, p->ray.time);
+  return on;
+#else
+  return (Mask16)(0);
+#endif
+}
+
+// The lanes of `on`, from their camera rays to their ends.
+static inline void trace_paths16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, Mask16 on,
+                                 Paths16 *p) {
+  const uint lights = direct_count(scene, params);
+  Hit16 hit;
+  Surface16 surface;
+  Bsdf16 bsdf;
+  for (uint bounce = 0u; any16(on); bounce++) {
+    p->rays += on ? (uint16)(1u) : (uint16)(0u);
+    const Mask16 found = on & intersect16(scene, together16(params, bounce == 0u), &p->ray, on, &hit);
+    leave16(scene, params, on & ~found, p);
+    if (!any16(found)) return;
+    on = look16(scene, params, bounce, &hit, found, p, &surface, &bsdf);
+    for (uint n = 0u; n < lights && any16(on); n++) shine16(scene, params, samples, bounce, n, &surface, &bsdf, on, p);
+    gather_light16(params, &bsdf, on, p);
+    on = scatter16(scene, params, samples, bounce, &surface, &bsdf, on, p);
+  }
+}
