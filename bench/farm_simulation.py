@@ -7,8 +7,8 @@ of the workers' time was used, what was done again after deaths, and how long ur
 living workers together need for them.
 
 Assumptions: speeds are lognormal (sigma 0.6, mean 8 million pixel samples a second); a worker lives 6 h on average,
-is missed after 10 s and replaced after 5 min on average (all exponential); a scene takes 10 s to load; 50 ms pass between an
-answer and the next lease; 8 jobs share the farm, the others wait. Pictures have tiles of 256 x 256 pixels and 4,096 samples in
+is missed after 10 s and replaced after 5 min on average (all exponential); a scene takes 10 s to load; what takes an answer's
+place is there 50 ms later; 8 jobs share the farm, the others wait. Pictures have tiles of 256 x 256 pixels and 4,096 samples in
 each of 4 replicates; some tiles cost twice as much as others.
 """
 
@@ -95,6 +95,8 @@ class Worker:
     held: deque[tuple[Job, PlannedLease, float]] = field(default_factory=deque)
     """With the seconds that each traces."""
     scenes: deque[str] = field(default_factory=lambda: deque(maxlen=SCENES_KEPT))
+    fed: float = 0.0
+    """When the lease that it was given last is there."""
     began: float = 0.0
     """When it turned to its present lease."""
     loading: float = 0.0
@@ -211,7 +213,7 @@ class Farm:
             cost = 0.67 + 0.66 * (lease.items[0].tile.x * 0.618 / SIDE % 1.0)
             worker.held.append((job, lease, lease.samples * cost / worker.speed))
             if len(worker.held) == 1:
-                self._begin(now, worker)
+                self._begin(max(now, worker.fed), worker)
             return True
         return False
 
@@ -236,10 +238,11 @@ class Farm:
         job.planner.done(lease.number, worker.name, seconds)
         job.delivered(lease.samples, seconds)
         if worker.held:
-            self._begin(now, worker)
+            self._begin(max(now, worker.fed), worker)
         if job.left == 0:
             self._end(now, job)
-        self._at(now + TURN_SECONDS, self._asks, worker, life)
+        worker.fed = now + TURN_SECONDS
+        self._feed(now, worker)
 
     def _end(self, now: float, job: Job) -> None:
         job.finished = now
@@ -256,7 +259,7 @@ class Farm:
         worker.alive = False
         worker.life += 1
         if worker.held:
-            self.account.wasted += now - worker.began
+            self.account.wasted += max(now - worker.began, 0.0)
         self._starving.pop(worker, None)
         self._at(now + MISSED_SECONDS, self._missed, worker)
         self._at(now + MISSED_SECONDS + self._random.expovariate(1 / AWAY_SECONDS), self._returns, worker)

@@ -173,10 +173,9 @@ class LeasePlanner:
         items: list[WorkItem] = []
         samples = size = 0
         while self._ready and len(items) < MAX_LEASE_ITEMS:
-            if not items:
-                self._split_first(budget)
+            more = self.samples_of(self._ready[0]) if items else self._split_first(budget)
             item = self._ready[0]
-            more, room = self.samples_of(item), self._bytes(item)
+            room = self._bytes(item)
             if items and (samples + more > budget or size + room > MAX_LEASE_BYTES):
                 break
             self._ready.popleft()
@@ -190,7 +189,7 @@ class LeasePlanner:
         lease = PlannedLease(self._next, tuple(items), samples, attempt)
         self._next += 1
         self._out[lease.number] = lease
-        rate = self._rates.setdefault(device, _Rate())
+        rate = self._rate_on(device)
         rate.largest = max(rate.largest, samples)
         return lease
 
@@ -199,6 +198,9 @@ class LeasePlanner:
         lease = self._out.pop(number, None)
         if lease is not None and seconds > 0 and lease.samples > 0:
             self._measure(device, lease.samples / seconds)
+        if lease is not None and lease.attempt > 1:
+            for item in lease.items:
+                self._attempts.pop(item, None)
         return lease
 
     def lost(self, number: int, failed_on: str | None = None) -> PlannedLease | None:
@@ -247,15 +249,18 @@ class LeasePlanner:
         self._ready.appendleft(item)
         self._ready_samples += self.samples_of(item)
 
-    def _split_first(self, budget: int) -> None:
-        """Halve the first item that waits until it fits, or cannot be halved."""
-        while self._ready[0].count > 1 and self.samples_of(self._ready[0]) > budget:
+    def _split_first(self, budget: int) -> int:
+        """Halve the first item that waits until it fits, or cannot be halved; its samples."""
+        while True:
+            samples = self.samples_of(self._ready[0])
+            if samples <= budget or self._ready[0].count == 1:
+                return samples
             item = self._ready.popleft()
             first, second = item.halves()
             self._ready.extendleft((second, first))
-            if item in self._attempts:
+            if self._attempts and item in self._attempts:
                 self._attempts[first] = self._attempts[second] = self._attempts.pop(item)
-            if item in self._failed_on:
+            if self._failed_on and item in self._failed_on:
                 self._failed_on[first] = self._failed_on[second] = self._failed_on.pop(item)
 
     def _bytes(self, item: WorkItem) -> int:
@@ -263,8 +268,14 @@ class LeasePlanner:
         entry = (SUM64.itemsize if item.count > FLOAT32_SAMPLES else SUM.itemsize) + LAYERS.itemsize
         return entry * self.replicates * item.tile.width * item.tile.height
 
+    def _rate_on(self, device: str) -> _Rate:
+        rate = self._rates.get(device)
+        if rate is None:
+            rate = self._rates[device] = _Rate()
+        return rate
+
     def _measure(self, device: str, samples_per_second: float) -> None:
-        rate = self._rates.setdefault(device, _Rate())
+        rate = self._rate_on(device)
         before = rate.samples_per_second
         if before is None:
             rate.samples_per_second = samples_per_second
