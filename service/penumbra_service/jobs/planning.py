@@ -22,7 +22,8 @@ LEASE_SECONDS: Final = 2.0
 """The most that a lease should take: work is cut in halves, so that most take one to two seconds. Long against the some
 5 ms of its way there and back, short enough to be done again."""
 FIRST_LEASE_SAMPLES: Final = 1 << 17
-"""Samples of a device's first lease, before its rate is known: some 0.1 s of one core."""
+"""Samples of a device's first lease, before its rate is known: some 0.1 s of one core. More on a large farm, in proportion
+to its leases."""
 MAX_GROWTH: Final = 8
 """A lease holds at most so many times the samples of the device's largest before: first rates are poor
 guesses."""
@@ -31,8 +32,9 @@ LEASES_PER_SECOND: Final = 50
 LEAST_SECONDS: Final = 0.1
 """Leases get no shorter as the work runs out: their way through a farm takes some 10 ms of processor time, and nobody waits
 longer for the last one."""
-LEAST_SHARE: Final = 1 / 32
-"""Of the longer leases of a large farm: however many devices share the last work, none gets less."""
+LEAST_SHARE: Final = 1 / 8
+"""Of the longer leases of a large farm: however many devices share the last work, none gets less. Each halving of the
+shortest lease is two more for every device at the end of every job."""
 BATCH_SHARE: Final = 1 / 8
 """Of a device's share of a batch: leases get no shorter where another batch follows, since devices then need not end
 together, and the batch is looked at that much later at most."""
@@ -234,11 +236,11 @@ class LeasePlanner:
         return lease.samples / rate if rate else None
 
     def _budget(self, device: str) -> int:
-        rate = self._rates.get(device)
-        most = rate.largest * MAX_GROWTH if rate else FIRST_LEASE_SAMPLES
+        rate, seconds = self._rates.get(device), lease_seconds(self.devices)
+        first = int(FIRST_LEASE_SAMPLES * seconds / LEASE_SECONDS)
+        most = rate.largest * MAX_GROWTH if rate else first
         least = FIRST_LEASE_SAMPLES // MAX_GROWTH
         if rate is not None and rate.samples_per_second is not None:
-            seconds = lease_seconds(self.devices)
             most = min(most, int(rate.samples_per_second * seconds))
             shortest = max((seconds - LEASE_SECONDS) * LEAST_SHARE, LEAST_SECONDS)
             least = max(least, min(most, max(self._floor, int(rate.samples_per_second * shortest))))

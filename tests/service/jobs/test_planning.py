@@ -10,10 +10,12 @@ from penumbra_service.jobs.planning import (
     FIRST_LEASE_SAMPLES,
     LEASE_SECONDS,
     LEAST_SECONDS,
+    LEAST_SHARE,
     MAX_GROWTH,
     MAX_LEASE_BYTES,
     LeasePlanner,
     WorkItem,
+    lease_seconds,
 )
 
 TILES = [Tile(64 * i, 0, 64, 64) for i in range(40)]
@@ -70,6 +72,26 @@ def test_leases_grow_to_their_seconds_and_no_faster_than_stated():
         planner.done(lease.number, "d", lease.samples / rate)
         previous = max(previous or 0, lease.samples)
     assert lease.samples / rate > LEASE_SECONDS / 4
+
+
+def _large_farm(items: int) -> LeasePlanner:
+    planner = LeasePlanner(1, devices=10_000)
+    planner.add(WorkItem(Tile(0, 0, 256, 256), 4096 * n, 4096) for n in range(items))
+    return planner
+
+
+def test_a_large_farm_begins_with_longer_leases():
+    lease = _large_farm(2000).take("d")
+    assert lease is not None
+    longer = lease_seconds(10_000) / LEASE_SECONDS
+    assert longer / 2 < lease.samples / FIRST_LEASE_SAMPLES <= longer
+
+
+def test_a_large_farm_ends_with_longer_leases():
+    speed, seconds = 8e6, lease_seconds(10_000)
+    sizes = [lease.samples / speed for _, lease in _run(_large_farm(40), {"d": speed})]
+    assert max(sizes) <= LEAST_SHARE * seconds, "each of the others is to have some of it"
+    assert min(sizes[3:-1]) > LEAST_SHARE * seconds / 4, "once the rate is known"
 
 
 def test_the_last_leases_shrink_so_that_devices_end_together():
