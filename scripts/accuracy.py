@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import accuracy_adaptive
-from accuracy_forecasts import HOLDS, forecast, holds, summary
+from accuracy_forecasts import HOLDS, LONGEST, forecast, holds, summary
 from accuracy_splitting import BLOCKS, COUNTS, measure, upkeep
 from penumbra_kernels.device import Device, devices
 from penumbra_scene.parse import parse_scene
@@ -310,13 +310,14 @@ def _forecast_page(found: list[dict[str, Any]]) -> Iterator[str]:
         f"rendered to it. Within x{HOLDS:g}: {100 * shares['samples']:.0f} % in samples, {100 * shares['seconds']:.0f} % in "
         f"seconds; the aim is 80 %. {100 * shares['within']:.0f} % lie in the quoted 95 % interval of seconds. "
         "`At least` stands where fewer than 25 pixels carry the error that the pilot saw: rare bright samples make it, and the "
-        "quote says that it knows no upper bound."
+        "quote says that it knows no upper bound. A render that has not met its error after "
+        f"{LONGEST:.0f} s is ended, and what it took stands behind a `>`."
     )
     rows = [
         [
             f.scene, f"{100 * f.target:.2g} %",
-            f"{_least(f)}{f.samples[0]:.0f}", f"{f.samples[1]:.0f}", _ratio(f.samples_ratio),
-            f"{_least(f)}{f.seconds[0]:.2f}", f"{f.seconds[1]:.2f}", _ratio(f.seconds_ratio),
+            f"{_least(f)}{f.samples[0]:.0f}", f"{_more(f)}{f.samples[1]:.0f}", _ratio(f.samples_ratio),
+            f"{_least(f)}{f.seconds[0]:.2f}", f"{_more(f)}{f.seconds[1]:.2f}", _ratio(f.seconds_ratio),
         ]
         for f in sorted(told, key=lambda f: abs(f.seconds_ratio - 1), reverse=True)
     ]  # fmt: skip
@@ -327,6 +328,11 @@ def _forecast_page(found: list[dict[str, Any]]) -> Iterator[str]:
 def _least(found: Any) -> str:
     """As the quote says it where few pixels carry the error."""
     return "" if found.bounded else "at least "
+
+
+def _more(found: Any) -> str:
+    """Before what a render took that was ended short of its error."""
+    return "" if found.met else "> "
 
 
 def _ratio(ratio: float) -> str:

@@ -21,6 +21,8 @@ from penumbra_service.rendering import assets_folder
 SECONDS: Final = (0.7, 5.0)
 """A target is taken that should take so long."""
 HOLDS: Final = 1.5
+LONGEST: Final = 20.0
+"""Seconds after which a render is ended that has not met its error: ten times what it was to take."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Forecast:
     """Whether the real seconds lie in the interval that was quoted."""
     bounded: bool = True
     """Whether that has an upper end; else the quote says 'at least'."""
+    met: bool = True
+    """Whether the render met its error; else it was ended after LONGEST, and what is real is more."""
 
     @property
     def samples_ratio(self) -> float:
@@ -65,6 +69,7 @@ def forecast(engine: Engine, scene: Scene, beside: Path) -> Forecast | None:
             return None
         scene = scene.model_copy(update={"stop": Stop(relative_error=target)})
         quote = build_quote(scene, 0.0, found)
+        scene = scene.model_copy(update={"stop": Stop(relative_error=target, seconds=LONGEST)})
         result = JobRunner(engine, RenderTask("forecast", scene, Path(folder) / "job", assets, beside)).run()
     real = result.record.points[-1]
     high = quote.end.seconds_interval.high
@@ -76,6 +81,7 @@ def forecast(engine: Engine, scene: Scene, beside: Path) -> Forecast | None:
         (quote.end.seconds, real.seconds),
         quote.end.seconds_interval.low <= real.seconds and (high is None or real.seconds <= high),
         high is not None,
+        result.reason == "relative_error",
     )
 
 
