@@ -402,8 +402,7 @@ CONSTANTS: Final[dict[str, int]] = {
     "OPTION_LIGHT_TREE": 4,  # picks by the light tree, not by the table
     "OPTION_LIGHTS_TO_MEET": 8,  # some light has an extent, so that a ray can meet it
     "LEVEL_NONE": 255,  # adaptive: a pixel that takes the kept samples and no others
-    "OPTION_TOGETHER_ALIKE": 16,  # camera rays of a pixel go through the tree together (geometry/rays16.cl)
-    "OPTION_TOGETHER": 32,  # and so do all other rays of its paths
+    "OPTION_TOGETHER": 16,  # on CPUs all rays of sixteen paths go through the trees together, not only those that are alike
     "OPTION_OTHER_SHIFT": 16,  # above: the groups of dimensions that draw from the second stream (sensitivity.py)
     "GROUP_PIXEL": 1,
     "GROUP_LENS": 2,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from penumbra_kernels.compile.scene import compile_scene
@@ -24,18 +25,44 @@ def devices(device: Device) -> tuple[Device, Device]:
     return device, Device(device.info.id, "compact")
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_sixteen_paths_are_sixteen_times_one(
-    path: Path, devices: tuple[Device, Device], tmp_path_factory: pytest.TempPathFactory
+def _assert_alike(
+    document: dict[str, Any], devices: tuple[Device, Device], assets: FolderAssets, program: str
 ) -> None:
     """With 1, 2, 4 ... samples a pixel, which share lanes with their neighbours', and with more than there are lanes."""
-    document = json.loads(path.read_text())
     document["film"] = {"width": SIDE, "height": SIDE}
-    document["sampler"] = {"type": "sobol", "seed": 5}
-    scene = scene_from_json(document, allow_files=True)
-    compiled = compile_scene(scene, FolderAssets(tmp_path_factory.mktemp("assets"), path.parent))
-    own, alone = (Tracer(device, compiled, SamplePlan(3), program="generic") for device in devices)
+    compiled = compile_scene(scene_from_json(document, allow_files=True), assets)
+    own, alone = (Tracer(device, compiled, SamplePlan(3, 64), program=program) for device in devices)
     for first, count in ((0, 1), (2, 2), (4, 4), (8, 8), (32, 32)):
         sixteen, one = own.trace(TILE, first, count).sums, alone.trace(TILE, first, count).sums
         assert sixteen.tobytes() == one.tobytes()
     assert sixteen["rays"].sum() > 0
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_sixteen_paths_are_sixteen_times_one(
+    path: Path, devices: tuple[Device, Device], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    document = json.loads(path.read_text())
+    document["sampler"] = {"type": "sobol", "seed": 5}
+    _assert_alike(document, devices, FolderAssets(tmp_path_factory.mktemp("assets"), path.parent), "generic")
+
+
+@pytest.mark.parametrize(
+    "integrator", [{}, {"shadow_rays": 3, "light_selection": "all"}], ids=["one", "many"]
+)
+@pytest.mark.parametrize(
+    "sampler", ["regular", "independent", "stratified", "jittered", "sobol", "blue_noise"]
+)
+def test_so_they_are_with_every_sampler(
+    sampler: str,
+    integrator: dict[str, Any],
+    devices: tuple[Device, Device],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """Some lanes draw a number and others none, as their paths call for."""
+    document = json.loads((EXAMPLES[0].parent / "cornell.json").read_text())
+    document["sampler"] = {"type": sampler, "seed": 3}
+    document["integrator"] = {"max_bounces": 5, "roulette_start": 1, **integrator}
+    _assert_alike(
+        document, devices, FolderAssets(tmp_path_factory.mktemp("assets"), EXAMPLES[0].parent), "specialised"
+    )

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from penumbra_kernels.compile.alias import alias_table
+from penumbra_kernels.compile.light_bounds import LightBounds
+from penumbra_kernels.compile.light_tree import build_light_tree
 from penumbra_kernels.hardcases.benches.lights import EVERYTHING, SCENE_ARGUMENTS, LightBench
-from penumbra_kernels.layout import INSTANCE, SHAPE, TRIANGLE
+from penumbra_kernels.layout import INSTANCE, LIGHT, SHAPE, TRIANGLE
 
 GROUPS = 64
 COUNT = 16 * GROUPS
@@ -41,19 +43,20 @@ static void put3(__global float *o, const float3 v) { o[0] = v.x; o[1] = v.y; o[
 
 __kernel void sample16(__global float *out, const __global float *p, const __global float *n, const __global float *ux,
                        const __global float *uy, const __global float *ut, const __global float *time,
-                       const __global uint *lanes, const uint light, ARGUMENTS) {
+                       const __global uint *light, const __global uint *lanes, ARGUMENTS) {
   BEGIN(20u);
+  const Lights16 lit_by = lights16(&scene, *(const __global uint16 *)(light + first), on);
   Receiver16 receiver;
   receiver.p = load3_16(p + 3u * first);
   receiver.n = load3_16(n + 3u * first);
   LightSample16 s;
-  bool delta;
-  const Mask16 given = light_sample16(&scene, light, &receiver, load16(time + first), load16(ut + first), load16(ux + first),
-                                      load16(uy + first), on, &s, &delta);
+  const Mask16 given = light_sample16(&scene, &lit_by, &receiver, load16(time + first), load16(ut + first),
+                                      load16(ux + first), load16(uy + first), on, &s);
+  const Mask16 delta = ~lights_have_extent16(&lit_by, on);
   for (LANES_OF(k, on)) {
     __global float *o = rows + 40u * k;
     if (LANE_I(given, k)) {
-      o[0] = 1.0f; o[1] = delta; o[2] = LANE_F(s.distance, k); o[3] = LANE_F(s.pdf, k);
+      o[0] = 1.0f; o[1] = LANE_I(delta, k) != 0; o[2] = LANE_F(s.distance, k); o[3] = LANE_F(s.pdf, k);
       put3(o + 4, lane3(&s.wi, k)); put3(o + 7, lane3(&s.radiance, k)); put3(o + 10, lane3(&s.p, k));
       if (LANE_F(s.distance, k) < INF_F) { put3(o + 13, lane3(&s.p_error, k)); put3(o + 16, lane3(&s.n, k)); }
     }
@@ -61,7 +64,7 @@ __kernel void sample16(__global float *out, const __global float *p, const __glo
     const Receiver lit = lane_receiver(&receiver, k);
     const uint i = first + k;
     o += 20u;
-    if (!light_sample(&scene, light, &lit, time[i], ut[i], (float2)(ux[i], uy[i]), &one)) continue;
+    if (!light_sample(&scene, light[i], &lit, time[i], ut[i], (float2)(ux[i], uy[i]), &one)) continue;
     o[0] = 1.0f; o[1] = one.delta; o[2] = one.distance; o[3] = one.pdf;
     put3(o + 4, one.wi); put3(o + 7, one.radiance); put3(o + 10, one.p);
     if (one.distance < INF_F) { put3(o + 13, one.p_error); put3(o + 16, one.n); }
@@ -72,41 +75,45 @@ __kernel void sample16(__global float *out, const __global float *p, const __glo
 
 __kernel void hit16(__global float *out, const __global float *p, const __global float *wi, const __global float *ng,
                     const __global float *distance, const __global uint *primitive, const __global float *time,
-                    const __global uint *lanes, const uint light, ARGUMENTS) {
+                    const __global uint *light, const __global uint *lanes, ARGUMENTS) {
   BEGIN(4u);
+  const Lights16 met = lights16(&scene, *(const __global uint16 *)(light + first), on);
   const Vec16 normal = load3_16(ng + 3u * first), direction = load3_16(wi + 3u * first);
   const uint16 primitives = *(const __global uint16 *)(primitive + first);
-  const float16 pdf = light_hit_pdf16(&scene, light, load3_16(p + 3u * first), normal, primitives, direction,
+  const float16 pdf = light_hit_pdf16(&scene, &met, load3_16(p + 3u * first), normal, primitives, direction,
                                       load16(distance + first), load16(time + first), on);
-  const Vec16 radiance = light_emitted16(&scene, light, normal, direction, on);
+  const Vec16 radiance = light_emitted16(&met, normal, direction, on);
   for (LANES_OF(k, on)) {
     const uint i = first + k;
     Surface hit;
     hit.ng = load3(ng + 3u * i);
     hit.primitive = primitive[i];
-    hit.shape = light;
+    hit.shape = light[i];
     rows[8u * k] = LANE_F(pdf, k);
     put3(rows + 8u * k + 1u, lane3(&radiance, k));
-    rows[8u * k + 4u] = light_hit_pdf(&scene, light, load3(p + 3u * i), &hit, load3(wi + 3u * i), distance[i], time[i]);
+    rows[8u * k + 4u] = light_hit_pdf(&scene, light[i], load3(p + 3u * i), &hit, load3(wi + 3u * i), distance[i], time[i]);
     put3(rows + 8u * k + 5u, light_emitted(&scene, &hit, load3(wi + 3u * i)));
   }
 }
 
 __kernel void choose16(__global float *out, const __global float *u, const __global float *p, const __global float *n,
-                       const __global uint *lanes, ARGUMENTS) {
-  BEGIN(3u);
+                       const __global uint *asked, const __global uint *lanes, ARGUMENTS) {
+  BEGIN(4u);
   Receiver16 receiver;
   receiver.p = load3_16(p + 3u * first);
   receiver.n = load3_16(n + 3u * first);
   float16 pmf;
   const uint16 light = light_choose16(&scene, &receiver, load16(u + first), on, &pmf);
   const float16 again = light_pmf16(&scene, &receiver, light, on);
+  const float16 other = light_pmf16(&scene, &receiver, *(const __global uint16 *)(asked + first), on);
   for (LANES_OF(k, on)) {
     const Receiver lit = lane_receiver(&receiver, k);
     float chance;
     const uint one = light_choose(&scene, &lit, u[first + k], &chance);
-    put3(rows + 6u * k, (float3)((float)LANE_U(light, k), LANE_F(pmf, k), LANE_F(again, k)));
-    put3(rows + 6u * k + 3u, (float3)((float)one, chance, light_pmf(&scene, &lit, one)));
+    put3(rows + 8u * k, (float3)((float)LANE_U(light, k), LANE_F(pmf, k), LANE_F(again, k)));
+    rows[8u * k + 3u] = LANE_F(other, k);
+    put3(rows + 8u * k + 4u, (float3)((float)one, chance, light_pmf(&scene, &lit, one)));
+    rows[8u * k + 7u] = light_pmf(&scene, &lit, asked[first + k]);
   }
 }
 
@@ -134,7 +141,7 @@ class Lanes(LightBench):
 
     text = LightBench.text + TEXT
 
-    def both(self, kernel, scene, width, inputs, seed, *tail):
+    def both(self, kernel, scene, width, inputs, seed):
         """(lanes, scalars), (lanes on, width) each, as bits."""
         rng = np.random.default_rng(seed)
         on = rng.random((GROUPS, 16)) < rng.choice([0.1, 0.5, 0.9, 1.0], GROUPS)[:, None]
@@ -143,7 +150,7 @@ class Lanes(LightBench):
         for a in given:
             a[~on.ravel()] = np.nan if a.dtype == np.float32 else 0
         out = np.empty((COUNT, 2 * width), np.float32)
-        self._run(kernel, out, GROUPS, scene, *given, bits, *tail)
+        self._run(kernel, out, GROUPS, scene, *given, bits)
         assert not np.any(out[~on.ravel()])
         kept = out[on.ravel()]
         assert not np.isnan(kept).any()
@@ -175,18 +182,37 @@ def scene_of(bench, *records, **more):
 
 
 def agree(bench, scene, p, seed, index=0, size=1.0):
-    """Samples for receivers at p, densities and radiance of directions from there."""
+    """Samples for receivers at p, densities and radiance of directions from there: of one light, or of some in turns."""
     normals = np.where(uniform(seed)[:, None] < 0.2, np.float32(0.0), directions(seed + 1))
     numbers = [uniform(seed + k) for k in range(2, 5)]
     time = uniform(seed + 5)
-    kind = np.uint32(index)
-    lanes, scalars = bench.both("sample16", scene, 20, [p, normals, *numbers, time], seed, kind)
+    light = np.resize(np.asarray(index, np.uint32), COUNT)
+    lanes, scalars = bench.both("sample16", scene, 20, [p, normals, *numbers, time, light], seed)
     assert np.array_equal(lanes, scalars)
     distance = (np.float32(size) * (0.01 + uniform(seed + 6))).astype(np.float32)
-    inputs = [p, directions(seed + 7), directions(seed + 8), distance, np.zeros(COUNT, np.uint32), time]
-    again, hits = bench.both("hit16", scene, 4, inputs, seed + 9, kind)
+    inputs = [
+        p,
+        directions(seed + 7),
+        directions(seed + 8),
+        distance,
+        np.zeros(COUNT, np.uint32),
+        time,
+        light,
+    ]
+    again, hits = bench.both("hit16", scene, 4, inputs, seed + 9)
     assert np.array_equal(again, hits)
     return scalars.view(np.float32), hits.view(np.float32)
+
+
+def choose_alike(bench, scene, p, seed):
+    """(light, pmf, pmf again, pmf of any light) for receivers at p, of lanes that are on."""
+    normals = np.where(uniform(seed)[:, None] < 0.2, np.float32(0.0), directions(seed + 1))
+    asked = np.random.default_rng(seed + 2).integers(0, len(scene.lights), COUNT).astype(np.uint32)
+    lanes, scalars = bench.both("choose16", scene, 4, [uniform(seed + 3), p, normals, asked], seed + 4)
+    assert np.array_equal(lanes, scalars)
+    chosen = scalars.view(np.float32)
+    assert np.array_equal(chosen[:, 1], chosen[:, 2])
+    return chosen
 
 
 def quad(bench, size=1.0, u=(1.0, 0.0, 0.0), v=(0.0, 0.7, 0.0), **more):
@@ -297,9 +323,69 @@ def test_lights_that_are_taken_lane_by_lane(any_lanes):
     for index in range(len(records)):
         samples, _ = agree(any_lanes, scene, p, 510 + 10 * index, index)
         assert np.any(samples[:, 0])
-    lanes, scalars = any_lanes.both("choose16", scene, 3, [uniform(600), p, directions(601)], 602)
-    assert np.array_equal(lanes, scalars)
-    assert len(np.unique(scalars[:, 0])) == len(records)
+    agree(any_lanes, scene, p, 590, np.random.default_rng(591).integers(0, len(records), COUNT))
+    assert len(np.unique(choose_alike(any_lanes, scene, p, 600)[:, 0])) == len(records)
+
+
+def test_every_lane_with_a_light_of_its_own(any_lanes):
+    instances = np.zeros(1, INSTANCE)
+    for name in ("object_from_world", "world_from_object"):
+        instances[name] = np.eye(3, 4).reshape(instances[name].shape[1:])
+    records = [quad(any_lanes, **{k: v for k, v in q.items() if k != "size"}) for q in QUADS.values()]
+    for k, record in enumerate(records):
+        record["radiance"] = k + 1.0
+    records += [
+        any_lanes.light("sphere", position=(0, 0, 2), inner=1.0, radiance=20.0),
+        any_lanes.light("sphere", position=(0, 0.5, -1), inner=0.1, radiance=30.0, flags=1),
+        quad(any_lanes, instance=0, radiance=40.0),
+        any_lanes.light("disc", direction=(0, 0, 1), axis_v=(0, 1, 0), inner=1.0, outer=1.0),
+        any_lanes.light("point", position=(0, 0, 1)),
+        any_lanes.light("environment", position=(1, 0, 0), direction=(0, 1, 0), axis_v=(0, 0, 1)),
+    ]
+    scene = scene_of(any_lanes, *records, instances=instances, environment_light=len(records) - 1)
+    rng = np.random.default_rng(650)
+    for count in (len(records), len(QUADS) + 2, len(QUADS)):  # of all kinds; quads and spheres; quads
+        samples, hits = agree(any_lanes, scene, receivers(1.0, 660), 670, rng.integers(0, count, COUNT))
+        assert len(np.unique(samples[:, 7])) > count - 4
+        assert np.mean(hits[:, 0] > 0) > 0.2
+
+
+def light_bounds(count, rng):
+    """Lamps of very different power in a room; some far away, some without power."""
+    axes = rng.normal(size=(count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return [
+        LightBounds(
+            rng.uniform(-2, 2, 3) if k % 7 else axes[k],
+            float(rng.uniform(0, 0.5)) if k % 7 else -1.0,
+            axes[k] if k % 3 else np.zeros(3),
+            float(rng.uniform(0, 0.3)) if k % 3 else np.pi,
+            float(rng.uniform(0.2, np.pi / 2)),
+            float(10 ** rng.uniform(-3, 3)) if k % 5 != 4 else 0.0,
+        )
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize("count", [1, 6, 40, 2000])
+def test_light_trees(any_lanes, count):
+    tree = build_light_tree(light_bounds(count, np.random.default_rng(count)))
+    records = [any_lanes.light("point") for _ in range(count)]
+    for record, leaf in zip(records, tree.leaf, strict=True):
+        record["leaf"] = leaf
+    scene = any_lanes.scene(records, light_nodes=tree.nodes)
+    chosen = choose_alike(any_lanes, scene, receivers(1.0, 800), 810)
+    assert len(np.unique(chosen[:, 0])) > min(count // 2, 100)
+    assert np.any(chosen[:, 3] == 0) or count == 1
+    assert np.any(chosen[:, 3] > 0)
+
+
+@pytest.mark.parametrize("count", [2, 300_000])
+def test_alias_tables(any_lanes, count):
+    weights = np.random.default_rng(count).lognormal(0, 3, count)
+    scene = any_lanes.scene(np.zeros(count, LIGHT), light_table=alias_table(weights))
+    chosen = choose_alike(any_lanes, scene, receivers(1.0, 900), 910)
+    assert len(np.unique(chosen[:, 0])) > min(count - 1, 100)
 
 
 @pytest.mark.parametrize("flag", ["AREA_LIGHTS", "DELTA_LIGHTS", "ENVIRONMENT", None])
@@ -313,6 +399,4 @@ def test_programs_with_one_kind_or_none(device, flag):
     p = receivers(1.0, 700)
     samples, _ = agree(special, scene, p, 710)
     assert np.any(samples[:, 0]) == (flag is not None)
-    lanes, scalars = special.both("choose16", scene, 3, [uniform(720), p, directions(721)], 722)
-    assert np.array_equal(lanes, scalars)
-    assert np.all(scalars.view(np.float32) == [0, 1, 1])
+    assert np.all(choose_alike(special, scene, p, 720)[:, :3] == [0, 1, 1])

@@ -46,10 +46,14 @@ static inline uint mask16(const Mask16 m) {
 #endif
 
 #if PENUMBRA_BUILTINS
+static inline uint16 multiply_high16(const uint16 a, const uint b) {  // the upper 32 bits of each product
+  return __builtin_convertvector(__builtin_convertvector(a, ulong16) * (ulong)b >> 32u, uint16);
+}
 static inline int16 to_int16(const float16 x) { return __builtin_convertvector(x, int16); }      // towards zero
 static inline float16 to_float16(const int16 x) { return __builtin_convertvector(x, float16); }
 static inline uint16 to_uint16(const ulong16 x) { return __builtin_convertvector(x, uint16); }  // the low half
 #else
+static inline uint16 multiply_high16(const uint16 a, const uint b) { return mul_hi(a, (uint16)(b)); }
 static inline int16 to_int16(const float16 x) { return convert_int16_rtz(x); }
 static inline float16 to_float16(const int16 x) { return convert_float16(x); }
 static inline uint16 to_uint16(const ulong16 x) { return convert_uint16(x); }
@@ -81,6 +85,8 @@ static inline float16 difference_of_products16(const float16 a, const float16 b,
   const float16 error = fma16(-c, d, cd);
   return fma16(a, b, -cd) + error;
 }
+
+#define WORDS(type) ((uint)(sizeof(type) / sizeof(uint)))  // of a record
 
 // What lanes read from memory: entry index[k] < 2^31 of an array. Lanes that are off read nothing, or entry 0.
 #if PENUMBRA_X86 && defined(__AVX512F__) && defined(__AVX512DQ__)

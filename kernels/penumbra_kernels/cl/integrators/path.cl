@@ -74,10 +74,10 @@ static inline void path_start(Path *path, const Ray ray) {
   path->delta = true;
 }
 
-// Follows the ray; false where it leaves the scene.
-static inline bool path_meet(const SceneData *scene, const __global Params *params, Path *path, Vertex *at) {
+// Once the ray has been followed; false where it left the scene.
+static inline bool path_met(const SceneData *scene, const __global Params *params, Path *path, Vertex *at) {
   path->result.rays++;
-  if (intersect(scene, path->ray, &at->hit)) return true;
+  if (at->hit.kind != NONE) return true;
 #if PENUMBRA_ENVIRONMENT
   if (scene->environment_light != NONE) {
     const float3 wi = normalize3(path->ray.d);
@@ -89,6 +89,12 @@ static inline bool path_meet(const SceneData *scene, const __global Params *para
   }
 #endif
   return false;
+}
+
+// Follows the ray; false where it leaves the scene.
+static inline bool path_meet(const SceneData *scene, const __global Params *params, Path *path, Vertex *at) {
+  intersect(scene, path->ray, &at->hit);
+  return path_met(scene, params, path, at);
 }
 
 // Looks at what the ray met; false where the path ends there.

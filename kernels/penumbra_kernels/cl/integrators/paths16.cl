@@ -76,9 +76,9 @@ static inline float16 hit_weight16(const __global Params *params, const float16 
 }
 
 static inline float16 light_chance16(const SceneData *scene, const __global Params *params, const Receiver16 *receiver,
-                                     const uint light, const Mask16 on) {
+                                     const uint16 light, const Mask16 on) {
   const float16 picks = (float)params->shadow_rays;
-  return params->options & OPTION_ALL_LIGHTS ? picks : picks * light_pmf16(scene, receiver, (uint16)(light), on);
+  return params->options & OPTION_ALL_LIGHTS ? picks : picks * light_pmf16(scene, receiver, light, on);
 }
 
 static inline void add_where16(const Mask16 on, const Vec16 value, Vec16 *sum) { *sum = where16(on, add16(*sum, value), *sum); }
@@ -91,7 +91,7 @@ static inline void leave16(const SceneData *scene, const __global Params *params
   float16 weight = 1.0f;
   const Mask16 shared = on & ~p->delta;
   if (any16(shared)) {
-    const float16 chance = light_chance16(scene, params, &p->from, scene->environment_light, shared);
+    const float16 chance = light_chance16(scene, params, &p->from, (uint16)(scene->environment_light), shared);
     const float16 pdf = environment_pdf16(scene, p->from.n, wi, shared);
     weight = shared ? hit_weight16(params, p->lobe_pdf, pdf, chance) : weight;
   }
@@ -100,18 +100,22 @@ static inline void leave16(const SceneData *scene, const __global Params *params
 #endif
 }
 
-// What the lanes of `on`, which all met light number `light`, bring from it.
-static inline void meet_light16(const SceneData *scene, const __global Params *params, const uint light, const Hit16 *hit,
-                                const Surface16 *surface, const Vec16 wo, const Mask16 on, Paths16 *p) {
+// What the lanes of `on` that met lights bring from them.
+static inline void meet_lights16(const SceneData *scene, const __global Params *params, const Hit16 *hit,
+                                 const Surface16 *surface, const Vec16 wo, Mask16 on, Paths16 *p) {
 #if PENUMBRA_AREA_LIGHTS
-  const Vec16 emitted = light_emitted16(scene, light, surface->ng, wo, on);
+  const uint16 light = shape_field16(&scene->shapes->light, surface->shape, on);
+  on &= (light != NONE);
+  if (!any16(on)) return;
+  const Lights16 lights = lights16(scene, light, on);
+  const Vec16 emitted = light_emitted16(&lights, surface->ng, wo, on);
   const Mask16 shines = on & (max3_16(emitted) > 0.0f);
   if (!any16(shines)) return;
   float16 weight = 1.0f;
   const Mask16 shared = shines & ~p->delta;
   if (any16(shared)) {
     const float16 distance = hit->t * length16(p->ray.d);
-    const float16 pdf = light_hit_pdf16(scene, light, p->from.p, surface->ng, surface->primitive, neg16(wo), distance,
+    const float16 pdf = light_hit_pdf16(scene, &lights, p->from.p, surface->ng, surface->primitive, neg16(wo), distance,
                                         p->ray.time, shared);
     const float16 chance = light_chance16(scene, params, &p->from, light, shared);
     weight = shared ? hit_weight16(params, p->lobe_pdf, pdf, chance) : weight;
@@ -140,16 +144,7 @@ static inline Mask16 look16(const SceneData *scene, const __global Params *param
                             const Mask16 on, Paths16 *p, Surface16 *surface, Bsdf16 *bsdf) {
   surfaces16(scene, &p->ray, hit, on, surface);
   const Vec16 wo = neg16(normalize16(p->ray.d));
-#if PENUMBRA_AREA_LIGHTS
-  const uint16 light = shape_field16(&scene->shapes->light, surface->shape, on);
-  Mask16 lamps = on & (light != NONE);
-  while (any16(lamps)) {
-    const uint which = LANE_U(light, CTZ(mask16(lamps)));
-    const Mask16 same = lamps & (light == which);
-    meet_light16(scene, params, which, hit, surface, wo, same, p);
-    lamps &= ~same;
-  }
-#endif
+  meet_lights16(scene, params, hit, surface, wo, on, p);
   if (bounce > params->max_bounces) return (Mask16)(0);
   bsdf_start16(scene, surface, wo, on, bsdf);
   if (bounce == 0u) {
@@ -183,45 +178,55 @@ typedef struct {
   float16 triangle;
 } LightNumbers16;
 
-static inline LightNumbers16 light_numbers16(const SceneData *scene, const Sampler16 *samples, const uint16 light, const ulong dim,
-                                             const ulong dim_triangle, const uint j, const uint picks, const Mask16 on) {
+// Which numbers of a sampler those are: number j of `count`, in two dimensions.
+typedef struct {
+  ulong point, triangle;
+  uint j, count;
+} LightDimensions;
+
+static inline LightNumbers16 light_numbers16(const Sampler16 *samples, const Lights16 *lights, const LightDimensions *dims,
+                                             const Mask16 on) {
   LightNumbers16 numbers;
   numbers.u.x = numbers.u.y = numbers.triangle = 0.0f;
-  const Mask16 extent = on & lights_have_extent16(scene, light, on), triangles = on & lights_have_triangles16(scene, light, on);
-  if (any16(extent)) numbers.u = sample_2d_of16(samples, dim, j, picks, extent);
-  if (any16(triangles)) numbers.triangle = sample_1d_of16(samples, dim_triangle, j, picks, triangles);
+  const Mask16 extent = on & lights_have_extent16(lights, on), triangles = on & lights_have_triangles16(lights, on);
+  if (any16(extent)) numbers.u = sample_2d_of16(samples, dims->point, dims->j, dims->count, extent);
+  if (any16(triangles)) numbers.triangle = sample_1d_of16(samples, dims->triangle, dims->j, dims->count, triangles);
   return numbers;
 }
 
-// light_ray of the lanes of `on`, which all ask light number `light`: those to which something may come.
+// light_ray of the lanes of `on`: those to which something may come.
 static inline Mask16 light_rays16(const SceneData *scene, const Surface16 *surface, const Bsdf16 *bsdf, const Receiver16 *receiver,
-                                  const uint light, const float16 time, const LightNumbers16 *u,
-                                  const float16 chance, const Mask16 use_mis, const Mask16 on, LightRay16 *out) {
+                                  const Lights16 *lights, const float16 time, const LightNumbers16 *u, const float16 chance,
+                                  const Mask16 use_mis, const Mask16 on, LightRay16 *out) {
   LightSample16 sample;
-  bool delta;
-  Mask16 come = light_sample16(scene, light, receiver, time, u->triangle, u->u.x, u->u.y, on, &sample, &delta);
+  Mask16 come = light_sample16(scene, lights, receiver, time, u->triangle, u->u.x, u->u.y, on, &sample);
   if (!any16(come)) return come;
+  const Mask16 delta = ~lights_have_extent16(lights, come);
   float16 lobe_pdf;
   const Vec16 value = mul16(bsdf_eval16(scene, bsdf, sample.wi, come, &lobe_pdf), sample.radiance);
   come &= !(value.x + value.y + value.z == 0.0f);
   if (!any16(come)) return come;
   const float16 one = 1.0f;
-  const float16 weight = delta ? one : use_mis ? power_heuristic16(chance * sample.pdf, lobe_pdf) : one;
+  const float16 weight = use_mis & ~delta ? power_heuristic16(chance * sample.pdf, lobe_pdf) : one;
   const Mask16 near = come & (sample.distance < INF_F);
-  Ray16 ray = spawn_ray16(surface, sample.wi, time);
+  out->ray = spawn_ray16(surface, sample.wi, time);
   if (any16(near)) {
     const Ray16 to = spawn_ray_to16(surface, sample.p, sample.p_error, sample.n, time);
-    ray.o = where16(near, to.o, ray.o);
-    ray.d = where16(near, to.d, ray.d);
-    ray.tmax = near ? to.tmax : ray.tmax;
+    out->ray.o = where16(near, to.o, out->ray.o);
+    out->ray.d = where16(near, to.d, out->ray.d);
+    out->ray.tmax = near ? to.tmax : out->ray.tmax;
   }
-  out->ray.o = where16(come, ray.o, out->ray.o);
-  out->ray.d = where16(come, ray.d, out->ray.d);
-  out->ray.tmax = come ? ray.tmax : out->ray.tmax;
-  out->ray.time = time;
-  out->value = where16(come, scale16(value, weight / sample.pdf), out->value);
-  out->effect = come ? (uint16)(delta ? EFFECT_DELTA_LIGHT : EFFECT_AREA_LIGHT) : out->effect;
+  out->value = scale16(value, weight / sample.pdf);
+  out->effect = delta ? (uint16)(EFFECT_DELTA_LIGHT) : (uint16)(EFFECT_AREA_LIGHT);
   return come;
+}
+
+// The light that each lane asks, and the probability of choosing it.
+static inline uint16 choose_lights16(const SceneData *scene, const Sampler16 *samples, const Receiver16 *receiver,
+                                     const uint bounce, const uint n, const uint picks, const Mask16 on, float16 *pmf) {
+  float16 u = 0.0f;
+  if (light_entries(scene) > 1u) u = sample_1d_of16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks, on);
+  return light_choose16(scene, receiver, u, on, pmf);
 }
 
 // direct_ray: the lanes to which something may come.
@@ -229,32 +234,28 @@ static inline Mask16 direct_rays16(const SceneData *scene, const __global Params
                                    const Surface16 *surface, const Bsdf16 *bsdf, const Receiver16 *receiver, const uint bounce,
                                    const uint n, const float16 time, const Mask16 use_mis, const Mask16 on, LightRay16 *out) {
   const uint picks = params->shadow_rays;
-  if (params->options & OPTION_ALL_LIGHTS) {
-    const uint light = n / picks, j = n - light * picks;
-    const LightNumbers16 u = light_numbers16(scene, samples, (uint16)(light), DIM_LIGHT(bounce, SLOT_LIGHT, light),
-                                             DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, light), j, picks, on);
-    return light_rays16(scene, surface, bsdf, receiver, light, time, &u, (float16)((float)picks), use_mis, on, out);
-  }
-  float16 us = 0.0f, pmf;
-  if (light_entries(scene) > 1u) us = sample_1d_of16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks, on);
-  const uint16 light = light_choose16(scene, receiver, us, on, &pmf);
-  Mask16 left = on & (pmf > 0.0f), come = 0;
-  const LightNumbers16 u = light_numbers16(scene, samples, light, DIM_BOUNCE(bounce, SLOT_LIGHT),
-                                           DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), n, picks, left);
-  const float16 chance = (float)picks * pmf;
-  while (any16(left)) {
-    const uint which = LANE_U(light, CTZ(mask16(left)));
-    const Mask16 same = left & (light == which);
-    come |= light_rays16(scene, surface, bsdf, receiver, which, time, &u, chance, use_mis, same, out);
-    left &= ~same;
-  }
+  const bool all = (params->options & OPTION_ALL_LIGHTS) != 0u;
+  const uint each = n / picks;  // the light, where all are asked
+  LightDimensions dims;
+  dims.point = all ? DIM_LIGHT(bounce, SLOT_LIGHT, each) : DIM_BOUNCE(bounce, SLOT_LIGHT);
+  dims.triangle = all ? DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, each) : DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE);
+  dims.j = all ? n - each * picks : n;
+  dims.count = picks;
+  float16 pmf = 1.0f;
+  uint16 light = each;
+  if (!all) light = choose_lights16(scene, samples, receiver, bounce, n, picks, on, &pmf);
+  const Mask16 asks = on & (pmf > 0.0f);
+  if (!any16(asks)) return asks;
+  const Lights16 lights = lights16(scene, light, asks);
+  const LightNumbers16 u = light_numbers16(samples, &lights, &dims, asks);
+  const Mask16 come = light_rays16(scene, surface, bsdf, receiver, &lights, time, &u, (float)picks * pmf, use_mis, asks, out);
   out->value = scale16(out->value, 1.0f / pmf);
   return come;
 }
 
-// Whether rays go through the tree together: alike ones wherever the tree holds what rays16.cl knows, and any where it is small.
+// Whether rays go through the trees together: alike ones always, any where the trees are small.
 static inline bool together16(const __global Params *params, const bool alike) {
-  return (params->options & (alike ? OPTION_TOGETHER_ALIKE : OPTION_TOGETHER)) != 0u;
+  return alike || (params->options & OPTION_TOGETHER) != 0u;
 }
 
 // Rays of one pixel's hits to lights are alike, but for those to the environment, which go anywhere.

@@ -20,7 +20,18 @@ static inline void set_lane_light_sample(LightSample16 *out, const uint k, const
   set_lane3(&out->n, k, sample->n);
 }
 
-static inline float16 flat_area_pdf16(const float16 distance, const float16 height, const float area) {
+// `sample` in the lanes of `on`.
+static inline void choose_samples16(const Mask16 on, const LightSample16 *sample, LightSample16 *out) {
+  out->wi = where16(on, sample->wi, out->wi);
+  out->distance = on ? sample->distance : out->distance;
+  out->radiance = where16(on, sample->radiance, out->radiance);
+  out->pdf = on ? sample->pdf : out->pdf;
+  out->p = where16(on, sample->p, out->p);
+  out->p_error = where16(on, sample->p_error, out->p_error);
+  out->n = where16(on, sample->n, out->n);
+}
+
+static inline float16 flat_area_pdf16(const float16 distance, const float16 height, const float16 area) {
   return sqr16(distance) / area * (distance / height);
 }
 

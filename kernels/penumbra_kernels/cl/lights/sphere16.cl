@@ -1,20 +1,23 @@
-// A still sphere light (lights/sphere.cl) seen from sixteen lit points, each with the bits of the scalar functions. World frame,
+// Still sphere lights (lights/sphere.cl), each seen from its lane's lit point, with the bits of the scalar functions. World frame,
 // metres; densities per solid angle at the lit points. By solid angle alone: programs that sample by area take it lane by lane.
 #include "lights/sphere.cl"
 #include "lights/light_sample16.h"
+#include "lights/records16.cl"
 #include "sampling/warp16.cl"
 
 typedef struct {
-  Vec16 to_center;
-  float16 distance, sin_max, pdf, one_minus_cos;
+  Vec16 center, to_center;
+  float16 radius, distance, sin_max, pdf, one_minus_cos;
   Mask16 inside;
 } SphereView16;
 
 // The lanes of `on` that see an emitting side.
-static inline Mask16 sphere_view16(const __global Light *light, const Vec16 p, const Mask16 on, SphereView16 *view) {
-  const float radius = light->inner;
+static inline Mask16 sphere_view16(const Lights16 *lights, const Vec16 p, const Mask16 on, SphereView16 *view) {
+  const float16 radius = light_numbers_of16(lights, &lights->records->inner, on);
+  view->radius = radius;
+  view->center = light_vectors16(lights, lights->records->position, on);
   const float16 all_around = 2.0f;
-  view->to_center = sub16(all16(load3(light->position)), p);
+  view->to_center = sub16(view->center, p);
   view->distance = length16(view->to_center);
   view->inside = ~(view->distance > radius);
   const float16 ratio = radius / view->distance;
@@ -22,7 +25,7 @@ static inline Mask16 sphere_view16(const __global Light *light, const Vec16 p, c
   view->sin_max = ratio;
   view->one_minus_cos = view->inside ? all_around : ratio * ratio / (1.0f + cosine);
   view->pdf = INV_2PI_F / view->one_minus_cos;
-  return light->flags & LIGHT_TWO_SIDED ? on : on & ~view->inside;
+  return on & (two_sided16(lights, on) | ~view->inside);
 }
 
 static inline Vec16 cone_normal16(const SphereView16 *view, const Vec16 w, const Vec16 t, const float16 one_minus_cos,
@@ -50,37 +53,35 @@ static inline Vec16 cone_direction16(const SphereView16 *view, const float16 ux,
   return add16(scale16(w, 1.0f - one_minus_cos), scale16(azimuth, root_sin2));
 }
 
-static inline Vec16 inside_direction16(const SphereView16 *view, const float radius, const float16 ux, const float16 uy,
-                                       Vec16 *n) {
+static inline Vec16 inside_direction16(const SphereView16 *view, const float16 ux, const float16 uy, Vec16 *n) {
   const Vec16 d = square_to_sphere16(ux, uy);
   const float16 along = dot16(view->to_center, d);
-  const float16 room = (radius - view->distance) * (radius + view->distance);
-  *n = scale16(sub16(scale16(d, along + safe_sqrt16(along * along + room)), view->to_center), 1.0f / radius);
+  const float16 room = (view->radius - view->distance) * (view->radius + view->distance);
+  *n = scale16(sub16(scale16(d, along + safe_sqrt16(along * along + room)), view->to_center), 1.0f / view->radius);
   return d;
 }
 
 // A direction of each lane of `on`, and the outside's normal where it meets the sphere first.
-static inline Vec16 sphere_direction16(const SphereView16 *view, const float radius, const float16 ux, const float16 uy,
-                                       const Mask16 on, Vec16 *n) {
+static inline Vec16 sphere_direction16(const SphereView16 *view, const float16 ux, const float16 uy, const Mask16 on,
+                                       Vec16 *n) {
   Vec16 wi = cone_direction16(view, ux, uy, n);
   if (!any16(on & view->inside)) return wi;
   Vec16 inner;
-  wi = where16(view->inside, inside_direction16(view, radius, ux, uy, &inner), wi);
+  wi = where16(view->inside, inside_direction16(view, ux, uy, &inner), wi);
   *n = where16(view->inside, inner, *n);
   return wi;
 }
 
-// sphere_light_sample where no instance carries the light.
-static inline Mask16 sphere_light_sample16(const __global Light *light, const Vec16 p, const float16 ux, const float16 uy,
+// sphere_light_sample of the lanes of `on`, whose lights are spheres that no instance carries. Fills in all but the radiance.
+static inline Mask16 sphere_light_sample16(const Lights16 *lights, const Vec16 p, const float16 ux, const float16 uy,
                                            const Mask16 on, LightSample16 *out) {
-  const float radius = light->inner;
-  const float3 center = load3(light->position);
   SphereView16 view;
   Vec16 n;
-  const Mask16 seen = sphere_view16(light, p, on, &view);
-  const Vec16 direction = sphere_direction16(&view, radius, ux, uy, seen, &n);
-  out->p = add16(all16(center), scale16(n, radius));
-  out->p_error = all16((abs3(center) + radius) * PLACED_ERROR);
+  const Mask16 seen = sphere_view16(lights, p, on, &view);
+  const Vec16 direction = sphere_direction16(&view, ux, uy, seen, &n);
+  out->p = add16(view.center, scale16(n, view.radius));
+  const Vec16 reach = abs3_16(view.center);
+  out->p_error = scale16(add16(reach, vec16(view.radius, view.radius, view.radius)), PLACED_ERROR);
   const Vec16 outside = normalize16(n);
   out->n = where16(view.inside, neg16(outside), outside);
   const Mask16 aimed = seen & aim16(p, out);
@@ -89,9 +90,9 @@ static inline Mask16 sphere_light_sample16(const __global Light *light, const Ve
   return aimed & usable16(out->pdf);
 }
 
-static inline float16 sphere_light_hit_pdf16(const __global Light *light, const Vec16 p, const Mask16 on) {
+static inline float16 sphere_light_hit_pdf16(const Lights16 *lights, const Vec16 p, const Mask16 on) {
   const float16 none = 0.0f;
   SphereView16 view;
-  const Mask16 seen = sphere_view16(light, p, on, &view);
+  const Mask16 seen = sphere_view16(lights, p, on, &view);
   return seen & usable16(view.pdf) ? view.pdf : none;
 }

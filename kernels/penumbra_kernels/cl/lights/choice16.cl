@@ -1,0 +1,48 @@
+// Which light to ask (lights/choice.cl), for sixteen lanes, each with the bits of the scalar functions.
+#include "base/types16.h"
+#include "lights/choice.cl"
+#if PENUMBRA_LIGHT_TREE
+#include "lights/tree16.cl"
+#endif
+
+
+#if PENUMBRA_MANY_LIGHTS
+static inline uint16 table_choose16(const SceneData *scene, const float16 u, const Mask16 on, float16 *pmf) {
+  const uint count = light_entries(scene);
+  *pmf = 0.0f;
+  if (count == 0u) return (uint16)(0u);
+  const uint16 number = as_uint16(to_int16(u * 0x1p24f));
+  const uint16 entry = multiply_high16(number << 8u, count);
+  const float16 rest = to_float16(as_int16(number * count & 0xffffffu)) * 0x1p-24f;
+  const Mask16 stays = rest < gather16(&scene->light_table->threshold, entry * WORDS(Alias), on);
+  const uint16 light = stays ? entry : gather_u16(&scene->light_table->other, entry * WORDS(Alias), on);
+  *pmf = gather16(&scene->light_table->pmf, light * WORDS(Alias), on);
+  return light;
+}
+#endif
+
+// light_choose of the lanes of `on`.
+static inline uint16 light_choose16(const SceneData *scene, const Receiver16 *receiver, const float16 u, const Mask16 on,
+                                    float16 *pmf) {
+  *pmf = 1.0f;
+#if PENUMBRA_LIGHT_TREE
+  if (scene->light_tree) return light_tree_choose16(scene, receiver, u, on, pmf);
+#endif
+#if PENUMBRA_MANY_LIGHTS
+  return table_choose16(scene, u, on, pmf);
+#else
+  return (uint16)(0u);
+#endif
+}
+
+// light_pmf of the lanes of `on`.
+static inline float16 light_pmf16(const SceneData *scene, const Receiver16 *receiver, const uint16 light, const Mask16 on) {
+#if PENUMBRA_LIGHT_TREE
+  if (scene->light_tree) return light_tree_pmf16(scene, receiver, light, on);
+#endif
+#if PENUMBRA_MANY_LIGHTS
+  return gather16(&scene->light_table->pmf, light * WORDS(Alias), on);
+#else
+  return (float16)(1.0f);
+#endif
+}
