@@ -107,7 +107,7 @@ def test_a_receipt_without_its_map_and_one_with_a_broken_map_are_refused(tmp_pat
     receipt = json.loads(path.read_text())
     for broken, message in (
         (None, "does not hold that map"),
-        ({**receipt["adaptive"]["map"], "rows": 5}, "5 x 8 blocks, where the picture has 6 x 8"),
+        ({**receipt["adaptive"]["map"], "rows": 5}, "5 x 16 blocks, where the picture has 12 x 16"),
         ({**receipt["adaptive"]["map"], "levels": "AAAA"}, "map of samples cannot be read"),
     ):
         path.write_text(json.dumps({**receipt, "adaptive": {**receipt["adaptive"], "map": broken}}))
