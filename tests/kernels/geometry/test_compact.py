@@ -105,6 +105,8 @@ TURN = {
     ]
 }
 
+SLIDE = {"keyframes": [{"time": t, "transform": [{"translate": [2 * t, 0, -t]}]} for t in (0, 0.3, 1)]}
+
 
 def shapes_of(kind: str, rng: np.random.Generator) -> list[dict[str, Any]]:
     if kind == "triangles":
@@ -117,7 +119,11 @@ def shapes_of(kind: str, rng: np.random.Generator) -> list[dict[str, Any]]:
         ]
         return [*spheres, {"type": "disc", "radius": 0.7}, soup(rng, 50, 0.3)]
     if kind == "moving":
-        return [{**soup(rng, 200, 0.2), "transform": TURN}, soup(rng, 300, 0.1)]
+        return [
+            {**soup(rng, 200, 0.2), "transform": TURN},
+            {**soup(rng, 200, 0.2), "transform": SLIDE},
+            soup(rng, 300, 0.1),
+        ]
     return [deforming(rng, 60), soup(rng, 100, 0.1)]
 
 
