@@ -52,11 +52,13 @@ static inline uint16 multiply_high16(const uint16 a, const uint b) {  // the upp
 static inline int16 to_int16(const float16 x) { return __builtin_convertvector(x, int16); }      // towards zero
 static inline float16 to_float16(const int16 x) { return __builtin_convertvector(x, float16); }
 static inline uint16 to_uint16(const ulong16 x) { return __builtin_convertvector(x, uint16); }  // the low half
+static inline ulong16 to_ulong16(const uint16 x) { return __builtin_convertvector(x, ulong16); }
 #else
 static inline uint16 multiply_high16(const uint16 a, const uint b) { return mul_hi(a, (uint16)(b)); }
 static inline int16 to_int16(const float16 x) { return convert_int16_rtz(x); }
 static inline float16 to_float16(const int16 x) { return convert_float16(x); }
 static inline uint16 to_uint16(const ulong16 x) { return convert_uint16(x); }
+static inline ulong16 to_ulong16(const uint16 x) { return convert_ulong16(x); }
 #endif
 
 static inline bool any16(const Mask16 m) { return mask16(m) != 0u; }

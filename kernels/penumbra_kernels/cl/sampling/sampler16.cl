@@ -2,16 +2,20 @@
 // pixels and replicates, one after the other; lanes that are off draw nothing, and what they get means nothing.
 #include "base/lanes16.cl"
 #include "sampling/sampler.cl"
+#include "sampling/hash16.cl"
 #include "sampling/sobol16.cl"
 
-#define PENUMBRA_ROWS (PENUMBRA_SAMPLER == SAMPLER_SOBOL && !PENUMBRA_PICK_FREEZE && !PENUMBRA_COUNT_DRAWS)
+// Whether all lanes draw a number at once; where not, one after the other.
+#define PENUMBRA_ROWS                                                                     \
+  ((PENUMBRA_SAMPLER == SAMPLER_SOBOL || PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT) &&      \
+   !PENUMBRA_PICK_FREEZE && !PENUMBRA_COUNT_DRAWS)
 
 typedef struct {
   const Sampler *samplers;  // one a pixel and replicate
   ulong first;              // index of their first sample here
   uint shift;
 #if PENUMBRA_ROWS
-  ulong16 keys;   // where shift < LANE_LEVELS: the samplers', a lane each
+  ulong16 keys;   // the samplers', a lane each
   uint16 index;   // of each lane's sample, its low half
   bool rows;      // they all have the same high half
 #endif
@@ -40,7 +44,7 @@ static inline Sampler lane_sampler(const Sampler16 *s, const uint k) {
   return one;
 }
 
-#if PENUMBRA_ROWS
+#if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_SOBOL
 static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
   const ulong16 keys = hash_combine16(s->keys, dim);
   const ulong epoch = s->first >> 32;
@@ -49,7 +53,7 @@ static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
 
 static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->samplers, dim, s->first); }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void sobol_row_1d(const Sampler16 *s, const ulong dim, float16 *x) {
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, float16 *x) {
   if (s->shift == LANE_LEVELS) {
     const ulong key = key_of(s, dim);
     *x = sobol_x16(shuffled16(s->index, (uint16)((uint)key)), (uint16)((uint)(key >> 32)));
@@ -59,7 +63,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void sobol_row_1d(const Sampler16 *s, con
   *x = sobol_x16(shuffled16(s->index, low_half16(keys)), high_half16(keys));
 }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void sobol_row_2d(const Sampler16 *s, const ulong dim, Point16 *p) {
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, Point16 *p) {
   if (s->shift == LANE_LEVELS) {
     const ulong key = key_of(s, dim), more = mix64(key);
     const uint16 shuffled = shuffled16(s->index, (uint16)((uint)key));
@@ -74,12 +78,29 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void sobol_row_2d(const Sampler16 *s, con
 }
 #endif
 
+#if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT
+static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim) {
+  const ulong16 element = to_ulong16(s->index) | (s->first & 0xffffffff00000000ul);
+  return mix64_16(hash_combine16(s->keys, dim) + HASH_STEP * (element + 1ul));
+}
+
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, float16 *x) {
+  *x = uniform_of16(high_half16(random_bits16(s, dim)));
+}
+
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, Point16 *p) {
+  const ulong16 bits = random_bits16(s, dim);
+  p->x = uniform_of16(high_half16(bits));
+  p->y = uniform_of16(low_half16(bits));
+}
+#endif
+
 // Number j of m that each sample draws.
 static inline float16 sample_1d_of16(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 on) {
   float16 out = 0.0f;
 #if PENUMBRA_ROWS
   if (m == 1u && s->rows) {
-    sobol_row_1d(s, dim, &out);
+    draw_row_1d(s, dim, &out);
     return out;
   }
 #endif
@@ -95,7 +116,7 @@ static inline Point16 sample_2d_of16(const Sampler16 *s, const ulong dim, const 
   out.x = out.y = 0.0f;
 #if PENUMBRA_ROWS
   if (m == 1u && s->rows) {
-    sobol_row_2d(s, dim, &out);
+    draw_row_2d(s, dim, &out);
     return out;
   }
 #endif

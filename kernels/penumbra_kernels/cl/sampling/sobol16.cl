@@ -1,5 +1,5 @@
 // Owen-scrambled Sobol numbers in lanes: each gets the bits that sobol.cl gives its sample.
-#include "base/lanes16.cl"
+#include "sampling/hash16.cl"
 #include "sampling/sobol.cl"
 
 static inline uint16 reverse_bits16(const uint16 bits) {
@@ -28,8 +28,6 @@ static inline uint16 pascal_reversed16(uint16 index) {
   return index ^ ((index & 0xaaaaaaaau) >> 1u);
 }
 
-static inline float16 uniform_of16(const uint16 bits) { return to_float16(as_int16(bits >> 8u)) * 0x1p-24f; }
-
 // Indices after the dimension's shuffle, by its hashes.
 static inline uint16 shuffled16(const uint16 index, const uint16 key) {
   return reverse_bits16(scramble_reversed16(reverse_bits16(index), key));
@@ -42,16 +40,3 @@ static inline float16 sobol_x16(const uint16 shuffled, const uint16 seed) {
 static inline float16 sobol_y16(const uint16 shuffled, const uint16 seed) {
   return uniform_of16(reverse_bits16(scramble_reversed16(pascal_reversed16(shuffled), seed)));
 }
-
-static inline ulong16 mix64_16(ulong16 x) {
-  x ^= x >> 30ul;
-  x *= 0xbf58476d1ce4e5b9ul;
-  x ^= x >> 27ul;
-  x *= 0x94d049bb133111ebul;
-  return x ^ (x >> 31ul);
-}
-
-static inline ulong16 hash_combine16(const ulong16 key, const ulong value) { return mix64_16(key + HASH_STEP * (value + 1ul)); }
-
-static inline uint16 low_half16(const ulong16 x) { return to_uint16(x); }
-static inline uint16 high_half16(const ulong16 x) { return to_uint16(x >> 32ul); }
