@@ -27,6 +27,14 @@ static inline float16 fma16(const float16 a, const float16 b, const float16 c) {
 }
 static inline float16 sqrt16(const float16 a) { return __builtin_ia32_sqrtps512(a, 4); }
 static inline uint mask16(const Mask16 m) { return __builtin_ia32_cvtd2mask512(m); }
+#elif PENUMBRA_X86 && defined(__AVX__) && defined(__FMA__)
+static inline float16 fma16(const float16 a, const float16 b, const float16 c) {
+  return (float16)(__builtin_ia32_vfmaddps256(a.lo, b.lo, c.lo), __builtin_ia32_vfmaddps256(a.hi, b.hi, c.hi));
+}
+static inline float16 sqrt16(const float16 a) { return (float16)(__builtin_ia32_sqrtps256(a.lo), __builtin_ia32_sqrtps256(a.hi)); }
+static inline uint mask16(const Mask16 m) {
+  return (uint)__builtin_ia32_movmskps256(as_float8(m.lo)) | (uint)__builtin_ia32_movmskps256(as_float8(m.hi)) << 8;
+}
 #else
 static inline float16 fma16(const float16 a, const float16 b, const float16 c) {
   float16 out;
