@@ -16,10 +16,10 @@ Program = Literal["specialised", "generic"]
 GAIN: Final = 1.15
 """Samples a second by a scene's own program over those by the generic one, where a device has not been measured: the median
 of the examples on a CPU (docs/effects.md)."""
-PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-1.25, 0.00088), "gpu": (-3.4, 0.00335)}
+PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-2.4, 0.00084), "gpu": (-3.4, 0.00335)}
 """By kind of device: seconds of building a program of n lines are a + b n, until that device has built some. Lines through the
-smallest and the largest program of the examples: 2,510 and 3,408 lines took .96 and 1.75 s on a Zen 5 core (docs/effects.md),
-5 and 8 s by an H200's driver (docs/gpus.md)."""
+smallest and the largest program of the examples: 4,613 and 6,640 lines (with those of the lanes) took 1.46 and 3.15 s of a
+Zen 5 core; 2,510 and 3,408 without lanes 5 and 8 s by an H200's driver (docs/gpus.md)."""
 LEAST_BUILD: Final = 0.3
 """Seconds that any program takes."""
 

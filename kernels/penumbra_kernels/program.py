@@ -70,7 +70,8 @@ def _entry(name: str) -> str:
     return flatten((CL_ROOT / name).read_text(), name, {name})
 
 
-_DEFINE: Final = re.compile(r"^\s*#\s*define\s+(\w+)(?:\s+(\w+))?\s*$")
+_DEFINE: Final = re.compile(r"^\s*#\s*define\s+(\w+)(?:\s+(\w+|\(.*\)))?\s*$")
+_INTEGER: Final = re.compile(r"(\d+)[uUlL]*")
 _CONDITION: Final = re.compile(r"^\s*#\s*(if|ifdef|ifndef|elif|else|endif)\b(.*)")
 _COMMENT: Final = re.compile(r"/\*.*?\*/", re.DOTALL)
 _COMPARISONS: Final[dict[type, Callable[[int, int], bool]]] = {
@@ -87,7 +88,8 @@ def active_lines(source: str) -> int:
     """Lines of an assembled text that its flags leave in, without comments and directives: what a compiler has to read.
 
     Conditions are those that this project writes: integers, macros, comparisons, &&, || and !. A macro that the text does
-    not define with a number is 0, as OpenCL C has it (C99, 6.10.1); what a compiler predefines is unknown here.
+    not define, with a number or with such a condition in parentheses, is 0, as OpenCL C has it (C99, 6.10.1); what a compiler
+    predefines is unknown here.
     """
     macros: dict[str, int] = {}
     blocks: list[tuple[bool, bool]] = []  # (this branch is in, some branch of the block was)
@@ -99,7 +101,7 @@ def active_lines(source: str) -> int:
         elif all(active for active, _ in blocks):
             define = _DEFINE.match(line)
             if define:
-                macros[define.group(1)] = _number(define.group(2))
+                macros[define.group(1)] = _number(define.group(2) or "", macros)
             text = line.split("//")[0].strip()
             count += bool(text) and not text.startswith("#")
     return count
@@ -120,8 +122,15 @@ def _enter(blocks: list[tuple[bool, bool]], word: str, rest: str, macros: Mappin
     blocks.append((active, taken or active))
 
 
-def _number(text: str | None) -> int:
-    return int(text) if text is not None and text.isdecimal() else 0
+def _number(text: str, macros: Mapping[str, int]) -> int:
+    """Of a macro: an integer, or a condition in parentheses; 0 where it is neither."""
+    integer = _INTEGER.fullmatch(text)
+    if integer:
+        return int(integer.group(1))
+    try:
+        return int(_holds(text, macros)) if text.startswith("(") else 0
+    except (SyntaxError, ValueError):
+        return 0
 
 
 def _holds(condition: str, macros: Mapping[str, int]) -> bool:

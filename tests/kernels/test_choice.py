@@ -63,9 +63,9 @@ def test_what_was_asked_for_will_be_asked_for_again(
 
 @pytest.mark.parametrize("kind", ["cpu", "gpu", "accelerator"])
 def test_predictions_scale_with_what_the_device_has_shown(kind: str) -> None:
-    new = [build_seconds(lines, kind, ()) for lines in (0, 2500, 3400)]
+    new = [build_seconds(lines, kind, ()) for lines in (0, 4600, 6600)]
     assert LEAST_BUILD == new[0] < new[1] < new[2]
-    past = [(2500, 3 * new[1]), (3400, 3 * new[2])]
-    assert [build_seconds(lines, kind, past) for lines in (2500, 3400)] == pytest.approx(
+    past = [(4600, 3 * new[1]), (6600, 3 * new[2])]
+    assert [build_seconds(lines, kind, past) for lines in (4600, 6600)] == pytest.approx(
         [3 * new[1], 3 * new[2]]
     )

@@ -97,12 +97,19 @@ def test_what_the_driver_refuses_is_told_as_the_devices_failure(device: Device) 
         ("PENUMBRA_A == SAMPLER_ONE && PENUMBRA_B != 1", True),
         ("defined(NOWHERE) || defined(PENUMBRA_B)", True),
         ("SAMPLER_TWO > 1 && SAMPLER_TWO <= 2", True),
+        ("PENUMBRA_A == SAMPLER_UNSIGNED", True),
+        ("BOTH", True),
+        ("NEITHER || CALL", False),
     ],
 )
 def test_lines_that_flags_leave_out_are_not_counted(condition: str, holds: bool) -> None:
     text = f"""
 #define SAMPLER_ONE 1
 #define SAMPLER_TWO 2
+#define SAMPLER_UNSIGNED 1u
+#define BOTH (PENUMBRA_A == SAMPLER_UNSIGNED && !PENUMBRA_B)
+#define NEITHER (PENUMBRA_B || SAMPLER_UNSIGNED > 1)
+#define CALL (uint)(7 + f(x))
 #if {condition} // why
 int in; // a comment
 #if PENUMBRA_B

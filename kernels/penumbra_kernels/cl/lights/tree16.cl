@@ -132,7 +132,7 @@ static inline void halve16(const LightNode16 *node, float16 *weight) {
   if (!any16(both)) return;
   for (uint c = 0u; c < CHILDREN; c++) {
     const float16 scaled = weight[c] * (node->radius[c] < zero ? 1.0f / far_sum : 1.0f / near_sum);
-    weight[c] = both & (weight[c] > zero) ? MAX16(scaled, least_weight) : weight[c];
+    weight[c] = (both & (weight[c] > zero)) ? MAX16(scaled, least_weight) : weight[c];
   }
 }
 
