@@ -36,7 +36,7 @@ LEAST_SHARE: Final = 1 / 8
 """Of the longer leases of a large farm: however many devices share the last work, none gets less. Each halving of the
 shortest lease is two more for every device at the end of every job."""
 BATCH_SHARE: Final = 1 / 8
-"""Of a device's share of a batch: leases get no shorter where another batch follows, since devices then need not end
+"""Of the seconds that a batch takes: leases get no shorter where another batch follows, since devices then need not end
 together, and the batch is looked at that much later at most."""
 MAX_LEASE_BYTES: Final = 32 * 1024 * 1024
 """Of sum nodes in an answer."""
@@ -98,8 +98,8 @@ class LeasePlanner:
         """Leases that had to be issued again."""
         self._ready: deque[WorkItem] = deque()
         self._ready_samples = 0
-        self._floor = 0
-        """Samples of the shortest lease."""
+        self._shortest = 0.0
+        """Seconds of the shortest lease, where a batch follows that which is handed out."""
         self._attempts: dict[WorkItem, int] = {}
         self._failed_on: dict[WorkItem, frozenset[str]] = {}
         self._out: dict[int, PlannedLease] = {}
@@ -144,8 +144,8 @@ class LeasePlanner:
         for item in items:
             self._ready.append(item)
             self._ready_samples += self.samples_of(item)
-        share = (self._ready_samples - before) / max(self.devices, 1)
-        self._floor = int(share * BATCH_SHARE) if more_follows else 0
+        rate = self.rate if more_follows else None
+        self._shortest = BATCH_SHARE * (self._ready_samples - before) / rate if rate else 0.0
 
     def not_under_way(self, items: Iterable[WorkItem]) -> list[WorkItem]:
         """What of these items neither waits nor is out, in their order: of a tile that starts again, what there is to
@@ -242,8 +242,8 @@ class LeasePlanner:
         least = FIRST_LEASE_SAMPLES // MAX_GROWTH
         if rate is not None and rate.samples_per_second is not None:
             most = min(most, int(rate.samples_per_second * seconds))
-            shortest = max((seconds - LEASE_SECONDS) * LEAST_SHARE, LEAST_SECONDS)
-            least = max(least, min(most, max(self._floor, int(rate.samples_per_second * shortest))))
+            shortest = max((seconds - LEASE_SECONDS) * LEAST_SHARE, LEAST_SECONDS, self._shortest)
+            least = max(least, min(most, int(rate.samples_per_second * shortest)))
         share = self.ready_samples // (2 * max(self.devices, 1))
         return max(min(most, share), least)
 

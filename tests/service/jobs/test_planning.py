@@ -105,17 +105,20 @@ def test_the_last_leases_shrink_so_that_devices_end_together():
 
 
 def test_leases_stay_long_where_another_batch_follows():
-    speed, sizes = 1e6, {}
+    speeds, leases = {"slow": 1e5, "fast": 1e6}, {}
+    batch = 64 * 64 * 64 * len(TILES)
+    shortest = batch / sum(speeds.values()) / 8
     for more_follows in (True, False):
         planner = LeasePlanner(1, devices=2)
+        planner.add(WorkItem(tile, 32, 32) for tile in TILES)
+        _run(planner, speeds)  # their rates are known from then on
         planner.add((WorkItem(tile, 64, 64) for tile in TILES), more_follows=more_follows)
-        sizes[more_follows] = [lease.samples for _, lease in _run(planner, {"a": speed, "b": speed})][8:-1]
-    batch = 64 * 64 * 64 * len(TILES)
-    assert min(sizes[True]) >= batch / 2 / 8 / 2, (
-        "half of an eighth of a device's share: work is halved until it fits"
-    )
-    assert min(sizes[False]) <= LEAST_SECONDS * speed
-    assert len(sizes[True]) < len(sizes[False]) / 2
+        done = _run(planner, speeds)[:-1]
+        leases[more_follows] = [lease.samples / speeds[device] for device, lease in done]
+    assert min(leases[True]) > shortest / 2, "work is halved until it fits"
+    assert max(leases[True]) <= LEASE_SECONDS
+    assert min(leases[False]) <= LEAST_SECONDS
+    assert len(leases[True]) < len(leases[False])
 
 
 def test_answers_stay_within_their_bytes():
