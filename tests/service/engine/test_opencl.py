@@ -117,7 +117,7 @@ def test_the_generic_program_gives_the_same_bits(engine, reference, tmp_path):  
 
 
 def test_a_killed_process_costs_time_and_nothing_else(engine, tmp_path):  # type: ignore[no-untyped-def]
-    sections = {"stop": {"samples": 512}, "sampler": {"type": "independent"}}
+    sections = {"stop": {"samples": 8192}, "sampler": {"type": "independent"}}
     undisturbed = _channels(JobRunner(engine, _task(tmp_path / "a", **sections)).run())
     slot = engine._slots[0]
     killed = []
@@ -126,7 +126,9 @@ def test_a_killed_process_costs_time_and_nothing_else(engine, tmp_path):  # type
         end = time.monotonic() + 30
         while time.monotonic() < end:
             held = next(iter(slot.held.values()), None)
-            if slot.running is not None and held is not None and held.lease.job == "b":
+            # Midway, where there is always more to do: a process that rests when it dies is not to blame.
+            midway = held is not None and held.lease.job == "b" and held.lease.items[0].first >= 256
+            if slot.running is not None and midway:
                 os.kill(slot.process.pid, signal.SIGKILL)
                 killed.append(slot.running)
                 return
