@@ -5,14 +5,14 @@
 #include "camera/camera16.cl"
 
 // A lane's pixel, in pixels of the full frame.
-static inline Point16 lane_pixels(const Item *items, const uint shift) {
+static inline Point16 lane_pixels(const Item *items, const Sampler16 *samples) {
   Point16 at;
   at.x = (float)items->x;
   at.y = (float)items->y;
-  if (shift == LANE_LEVELS) return at;
+  if (samples->one) return at;
   for (uint k = 0u; k < LANES; k++) {
-    LANE_F(at.x, k) = (float)items[k >> shift].x;
-    LANE_F(at.y, k) = (float)items[k >> shift].y;
+    LANE_F(at.x, k) = (float)items[samples->of[k]].x;
+    LANE_F(at.y, k) = (float)items[samples->of[k]].y;
   }
   return at;
 }
@@ -20,7 +20,7 @@ static inline Point16 lane_pixels(const Item *items, const uint shift) {
 static inline Ray16 start_rays16(const Launch *launch, const Item *items, const Sampler16 *samples, const Mask16 on,
                                  float16 *weight) {
   const __global Params *params = launch->params;
-  const Point16 u = sample_2d16(samples, DIM_PIXEL, on), at = lane_pixels(items, samples->shift);
+  const Point16 u = sample_2d16(samples, DIM_PIXEL, on), at = lane_pixels(items, samples);
   float16 offset_x, offset_y;
   filter_sample16(launch->filter_table, params->filter_radius, u.x, u.y, on, &offset_x, &offset_y, weight);
   const float16 film_x = (at.x + 0.5f + offset_x) / (float)params->film_width;
@@ -57,21 +57,13 @@ static inline Values16 values16(const Paths16 *p, const float16 weight) {
   return out;
 }
 
-// Sums of 2^shift lanes each, as tree_add forms them.
-static inline void tree_sums16(const float16 v, const uint shift, const bool thinned, float16 *out) {
+// The sum of all lanes as tree_add forms it.
+static inline float tree_sum16(const float16 v, const bool thinned) {
   const float16 leaves = thinned ? v + 0.0f : v;
-  *out = leaves;
-  if (shift == 0u) return;
   const float8 a = leaves.even + leaves.odd;
-  out->lo = a;
-  if (shift == 1u) return;
   const float4 b = a.even + a.odd;
-  out->lo.lo = b;
-  if (shift == 2u) return;
   const float2 c = b.even + b.odd;
-  out->lo.lo.lo = c;
-  if (shift == 3u) return;
-  out->s0 = c.x + c.y;
+  return c.x + c.y;
 }
 
 // Counts what the lanes of `bits` brought.
@@ -85,47 +77,76 @@ static inline void count16(const Paths16 *p, const Values16 *values, const uint 
   }
 }
 
-// The sums of 2^shift samples of every item that the lanes hold, into its gather: its samples from number i on, which is a multiple of
-// that.
-static inline void gather16_items(const Paths16 *p, const float16 weight, const uint shift, const uint i, const bool thinned,
-                                  const uint items, Gather *gathers) {
-  const Values16 values = values16(p, weight);
-  float16 sums[4];
-  for (uint c = 0u; c < 4u; c++) tree_sums16(values.value[c], shift, thinned, sums + c);
+// Sixteen samples of one item, from number i of its share on, which is a multiple of that.
+static inline void gather_one(const Paths16 *p, const float16 weight, const uint i, const bool thinned, Gather *gather) {
+  const Values16 v = values16(p, weight);
+  count16(p, &v, 0xffffu, gather);
+  tree_add_from(gather->levels, LANE_LEVELS, i,
+                (float4)(tree_sum16(v.value[0], thinned), tree_sum16(v.value[1], thinned), tree_sum16(v.value[2], thinned),
+                         tree_sum16(v.value[3], thinned)));
 #if PENUMBRA_LAYERS
-  float16 layers[7];
-  const float16 channels[7] = {p->albedo.x, p->albedo.y, p->albedo.z, p->depth, p->normal.x, p->normal.y, p->normal.z};
-  for (uint c = 0u; c < 7u; c++) tree_sums16(channels[c], shift, thinned, layers + c);
+  tree_add_from(gather->albedo_depth, LANE_LEVELS, i,
+                (float4)(tree_sum16(p->albedo.x, thinned), tree_sum16(p->albedo.y, thinned), tree_sum16(p->albedo.z, thinned),
+                         tree_sum16(p->depth, thinned)));
+  tree_add_from(gather->normal, LANE_LEVELS, i,
+                (float4)(tree_sum16(p->normal.x, thinned), tree_sum16(p->normal.y, thinned), tree_sum16(p->normal.z, thinned), 0.0f));
+  if (i == 0) gather->object_id = LANE_U(p->object_id, 0u);
 #endif
-  for (uint j = 0u; j < items; j++) {
-    Gather *gather = gathers + j;
-    count16(p, &values, ((1u << (1u << shift)) - 1u) << (j << shift), gather);
-    tree_add_from(gather->levels, shift, i,
-                  (float4)(LANE_F(sums[0], j), LANE_F(sums[1], j), LANE_F(sums[2], j), LANE_F(sums[3], j)));
+}
+
+// All samples of several items.
+static inline void gather_each(const Paths16 *p, const float16 weight, const uint count, const Item *items, const Sampler16 *samples,
+                               Gather *gathers) {
+  const Values16 v = values16(p, weight);
+  for (uint k = 0u; k < count; k++) {
+    const Item *item = items + samples->of[k];
+    Gather *gather = gathers + samples->of[k];
+    const uint i = (uint)(samples->index[k] - item->share.first);
+    const float4 value =
+        (float4)(LANE_F(v.value[0], k), LANE_F(v.value[1], k), LANE_F(v.value[2], k), LANE_F(v.value[3], k));
+    count16(p, &v, 1u << k, gather);
+    tree_add(gather->levels, i, leaf(value, item->share.thinned));
 #if PENUMBRA_LAYERS
-    tree_add_from(gather->albedo_depth, shift, i,
-                  (float4)(LANE_F(layers[0], j), LANE_F(layers[1], j), LANE_F(layers[2], j), LANE_F(layers[3], j)));
-    tree_add_from(gather->normal, shift, i,
-                  (float4)(LANE_F(layers[4], j), LANE_F(layers[5], j), LANE_F(layers[6], j), 0.0f));
-    if (i == 0) gather->object_id = LANE_U(p->object_id, j << shift);
+    const PathSample path = lane_sample(p, k);
+    gather_layers(gather, i, &path, item->share.thinned);
 #endif
   }
 }
 
-// The items from number `first` on that have as many samples as the first, up to LANES samples in all; how many.
-static inline uint alike_items(const Launch *launch, const uint first, const uint end, Item *items) {
-  items[0] = item_at(launch, first);
-  const Share share = items[0].share;
-  if (share.count == 0u || share.count >= LANES) return 1u;
-  uint n = 1u;
-  for (; n < LANES / share.count && first + n < end; n++) {
+// Items from number `first` on, of those before `end`: one that has LANES samples or more, or as many as have room in the lanes.
+// samples: their lanes, `count` in all, at their first samples.
+static inline uint fill_lanes(const Launch *launch, const uint first, const uint end, Item *items, Sampler *samplers,
+                              Sampler16 *samples, uint *count) {
+  uint n = 0u;
+  *count = 0u;
+  samples->samplers = samplers;
+  for (; n < LANES && first + n < end; n++) {
     items[n] = item_at(launch, first + n);
-    if (items[n].share.count != share.count || items[n].share.first != share.first) break;
+    const uint own = items[n].share.count, taken = MIN(own, LANES);
+    if (n && *count + own > LANES) break;
+    samplers[n] = items[n].sampler;
+    for (uint k = 0u; k < taken; k++) {
+      samples->of[*count + k] = (uchar)n;
+      samples->index[*count + k] = items[n].share.first + k;
+    }
+    *count += taken;
+    if (own >= LANES) {
+      n++;
+      break;
+    }
   }
+  for (uint k = *count; k < LANES; k++) samples->of[k] = 0u;
+  samples->one = n == 1u;
   return n;
 }
 
-static inline uint log2_of(const uint count) { return CTZ(count); }
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void trace_lanes(const Launch *launch, const Item *items, Sampler16 *samples, const uint count,
+                                                        float16 *weight, Paths16 *paths) {
+  const Mask16 on = lanes_from(0u, count);
+  sampler_start16(on, samples);
+  paths_start16(paths, start_rays16(launch, items, samples, on, weight));
+  trace_paths16(launch->scene, launch->params, samples, on, paths);
+}
 
 // All samples of some items from number `first` on, of those before `end`; how many items they were. layers: null where there are
 // none. drawn: DRAWN_COUNT numbers an item (counting draws), else null.
@@ -134,32 +155,33 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE uint trace_items16(const Launch *launch, 
   Item items[LANES];
   Sampler samplers[LANES];
   Gather gathers[LANES];
-  const uint n = alike_items(launch, first, end, items);
-  const Share share = items->share;
+  Sampler16 samples;
+  Paths16 paths;
+  float16 weight;
+  uint count;
+  const uint n = fill_lanes(launch, first, end, items, samplers, &samples, &count);
+  for (uint j = 0u; j < n; j++) gather_start(gathers + j);
 #if PENUMBRA_COUNT_DRAWS
   uint counted[LANES][DRAWN_COUNT];
   for (uint j = 0u; j < n; j++) {
     for (uint k = 0u; k < DRAWN_COUNT; k++) counted[j][k] = 0u;
-    items[j].sampler.drawn = counted[j];
+    samplers[j].drawn = counted[j];
   }
 #endif
-  for (uint j = 0u; j < n; j++) {
-    samplers[j] = items[j].sampler;
-    gather_start(gathers + j);
-  }
-  const uint step = MIN(share.count, LANES);
-  for (uint i = 0u; i < share.count; i += step) {
-    const Sampler16 samples = sampler_start16(samplers, n, share.first + i, log2_of(step));
-    const Mask16 on = lanes_from(0u, n * step);
-    float16 weight;
-    Paths16 paths;
-    paths_start16(&paths, start_rays16(launch, items, &samples, on, &weight));
-    trace_paths16(launch->scene, launch->params, &samples, on, &paths);
-    gather16_items(&paths, weight, log2_of(step), i, share.thinned, n, gathers);
+  const Share share = items->share;
+  if (n == 1u && share.count >= LANES) {
+    for (uint i = 0u; i < share.count; i += LANES) {
+      for (uint k = 0u; k < LANES; k++) samples.index[k] = share.first + i + k;
+      trace_lanes(launch, items, &samples, LANES, &weight, &paths);
+      gather_one(&paths, weight, i, share.thinned, gathers);
+    }
+  } else if (count) {
+    trace_lanes(launch, items, &samples, count, &weight, &paths);
+    gather_each(&paths, weight, count, items, &samples, gathers);
   }
   for (uint j = 0u; j < n; j++) {
     const uint item = first + j;
-    gather_write(gathers + j, share.count, layers + item, sums + item);
+    gather_write(gathers + j, items[j].share.count, layers + item, sums + item);
 #if PENUMBRA_COUNT_DRAWS
     for (uint k = 0u; k < DRAWN_COUNT; k++) drawn[item * DRAWN_COUNT + k] = counted[j][k];
 #endif

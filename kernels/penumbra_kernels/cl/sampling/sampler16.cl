@@ -1,5 +1,5 @@
-// The numbers of sixteen samples, a lane each: what sampler.cl gives them. The lanes hold 2^shift consecutive samples of each of some
-// pixels and replicates, one after the other; lanes that are off draw nothing, and what they get means nothing.
+// The numbers of sixteen samples, a lane each: what sampler.cl gives them. The lanes hold consecutive samples of one pixel and
+// replicate, or some of each of several, one after the other; lanes that are off draw nothing, and what they get means nothing.
 #include "base/lanes16.cl"
 #include "sampling/sampler.cl"
 #include "sampling/hash16.cl"
@@ -12,86 +12,96 @@
 
 typedef struct {
   const Sampler *samplers;  // one a pixel and replicate
-  ulong first;              // index of their first sample here
-  uint shift;
+  uchar of[LANES];          // which of them is the lane's
+  ulong index[LANES];       // of the lane's sample
+  bool one;                 // all lanes have the first, and consecutive samples
 #if PENUMBRA_ROWS
   ulong16 keys;   // the samplers', a lane each
-  uint16 index;   // of each lane's sample, its low half
-  bool rows;      // they all have the same high half
+  uint16 low;     // of the indices, their low halves
+  ulong high;     // and their high half, where it is the same for all
+  bool rows;
 #endif
 } Sampler16;
 
-static inline Sampler16 sampler_start16(const Sampler *samplers, const uint count, const ulong first, const uint shift) {
-  Sampler16 s;
-  s.samplers = samplers;
-  s.first = first;
-  s.shift = shift;
+// The lanes' samplers and indices are known.
+static inline void sampler_start16(const Mask16 on, Sampler16 *s) {
 #if PENUMBRA_ROWS
-  s.rows = ((first + LANES) >> 32) == (first >> 32);
-  s.index = (uint)first + (as_uint16(LANE_NUMBERS) & ((1u << shift) - 1u));
-  s.keys = samplers->key;
-  if (shift < LANE_LEVELS) {
-    ulong *keys = (ulong *)&s.keys;
-    for (uint k = 0u; k < count << shift; k++) keys[k] = samplers[k >> shift].key;
+  const ulong first = s->index[0];
+  s->high = first >> 32;
+  s->keys = s->samplers->key;
+  s->low = (uint)first + as_uint16(LANE_NUMBERS);
+  s->rows = (first + LANES - 1ul) >> 32 == s->high;
+  if (s->one) return;
+  for (LANES_OF(k, on)) {
+    s->rows = s->rows && s->index[k] >> 32 == s->high;
+    LANE_U(s->low, k) = (uint)s->index[k];
+    ((ulong *)&s->keys)[k] = s->samplers[s->of[k]].key;
   }
 #endif
-  return s;
 }
 
 static inline Sampler lane_sampler(const Sampler16 *s, const uint k) {
-  Sampler one = s->samplers[k >> s->shift];
-  sampler_next(&one, s->first + (k & ((1u << s->shift) - 1u)));
+  Sampler one = s->samplers[s->of[k]];
+  sampler_next(&one, s->index[k]);
   return one;
 }
 
 #if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_SOBOL
 static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
   const ulong16 keys = hash_combine16(s->keys, dim);
-  const ulong epoch = s->first >> 32;
-  return epoch ? hash_combine16(keys, epoch) : keys;
+  return s->high ? hash_combine16(keys, s->high) : keys;
 }
 
-static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->samplers, dim, s->first); }
+static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->samplers, dim, s->index[0]); }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, float16 *x) {
-  if (s->shift == LANE_LEVELS) {
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
+  if (s->one) {
     const ulong key = key_of(s, dim);
-    *x = sobol_x16(shuffled16(s->index, (uint16)((uint)key)), (uint16)((uint)(key >> 32)));
+    *x = sobol_x16(shuffled16(*element, (uint16)((uint)key)), (uint16)((uint)(key >> 32)));
     return;
   }
   const ulong16 keys = keys_of(s, dim);
-  *x = sobol_x16(shuffled16(s->index, low_half16(keys)), high_half16(keys));
+  *x = sobol_x16(shuffled16(*element, low_half16(keys)), high_half16(keys));
 }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, Point16 *p) {
-  if (s->shift == LANE_LEVELS) {
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
+  if (s->one) {
     const ulong key = key_of(s, dim), more = mix64(key);
-    const uint16 shuffled = shuffled16(s->index, (uint16)((uint)key));
+    const uint16 shuffled = shuffled16(*element, (uint16)((uint)key));
     p->x = sobol_x16(shuffled, (uint16)((uint)(more >> 32)));
     p->y = sobol_y16(shuffled, (uint16)((uint)more));
     return;
   }
   const ulong16 keys = keys_of(s, dim), more = mix64_16(keys);
-  const uint16 shuffled = shuffled16(s->index, low_half16(keys));
+  const uint16 shuffled = shuffled16(*element, low_half16(keys));
   p->x = sobol_x16(shuffled, high_half16(more));
   p->y = sobol_y16(shuffled, low_half16(more));
 }
 #endif
 
 #if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT
-static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim) {
-  const ulong16 element = to_ulong16(s->index) | (s->first & 0xffffffff00000000ul);
-  return mix64_16(hash_combine16(s->keys, dim) + HASH_STEP * (element + 1ul));
+static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim, const uint16 *element) {
+  const ulong16 whole = to_ulong16(*element) | (s->high << 32);
+  return mix64_16(hash_combine16(s->keys, dim) + HASH_STEP * (whole + 1ul));
 }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, float16 *x) {
-  *x = uniform_of16(high_half16(random_bits16(s, dim)));
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
+  *x = uniform_of16(high_half16(random_bits16(s, dim, element)));
 }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, Point16 *p) {
-  const ulong16 bits = random_bits16(s, dim);
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
+  const ulong16 bits = random_bits16(s, dim, element);
   p->x = uniform_of16(high_half16(bits));
   p->y = uniform_of16(low_half16(bits));
+}
+#endif
+
+#if PENUMBRA_ROWS
+// Elements of a dimension's sequence that each sample takes m of, the j-th: their low halves, the high half being that of the samples'
+// indices. False where it is not.
+static inline bool elements16(const Sampler16 *s, const uint j, const uint m, uint16 *element) {
+  *element = s->low * m + j;
+  return m == 1u ? s->rows : s->rows && s->high == 0ul && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
 }
 #endif
 
@@ -99,8 +109,9 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 static inline float16 sample_1d_of16(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 on) {
   float16 out = 0.0f;
 #if PENUMBRA_ROWS
-  if (m == 1u && s->rows) {
-    draw_row_1d(s, dim, &out);
+  uint16 element;
+  if (elements16(s, j, m, &element)) {
+    draw_row_1d(s, dim, &element, &out);
     return out;
   }
 #endif
@@ -115,8 +126,9 @@ static inline Point16 sample_2d_of16(const Sampler16 *s, const ulong dim, const 
   Point16 out;
   out.x = out.y = 0.0f;
 #if PENUMBRA_ROWS
-  if (m == 1u && s->rows) {
-    draw_row_2d(s, dim, &out);
+  uint16 element;
+  if (elements16(s, j, m, &element)) {
+    draw_row_2d(s, dim, &element, &out);
     return out;
   }
 #endif
