@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 Program = Literal["specialised", "generic"]
 
-GAIN: Final = 1.15
+GAIN: Final = 1.1
 """Samples a second by a scene's own program over those by the generic one, where a device has not been measured: the median
 of the examples on a CPU (docs/effects.md)."""
 PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-2.4, 0.00084), "gpu": (-3.4, 0.00335)}
