@@ -268,6 +268,8 @@ def _explain(arguments: argparse.Namespace) -> int:
 
     if not 0 < arguments.budget < math.inf:
         raise CommandError(f"--budget: {arguments.budget:g} given, a number of seconds above 0 accepted")
+    if not math.isfinite(arguments.time):
+        raise CommandError(f"--time: {arguments.time:g} given, a finite number of seconds accepted")
     try:
         measured = None
         explain(arguments.scene, arguments.time)  # what is no scene is told before a device is asked for
@@ -276,13 +278,14 @@ def _explain(arguments: argparse.Namespace) -> int:
             folders = (str(cache.folder() / "assets"), str(scene.parent))
             request = Request(str(scene), *folders, arguments.time, arguments.device, arguments.budget)
             measured = measure_effects(request)
-        print(explain(arguments.scene, arguments.time, as_json=arguments.json, measured=measured))
+        text = explain(arguments.scene, arguments.time, as_json=arguments.json, measured=measured)
     except MeasureError as error:
         raise CommandError(str(error), Exit.DEVICE) from error
     except OSError as error:
         raise CommandError(f"cannot read {arguments.scene}: {error.strerror}") from error
     except ProblemError as error:
         raise CommandError(str(error), Exit.INVALID) from error
+    print(text)
     return Exit.OK
 
 
