@@ -220,6 +220,17 @@ def test_two_services_on_one_database_share_the_queue(
         until(lambda job=job, wanted=wanted: clients[1].get(f"/v1/jobs/{job}").json()["state"] == wanted)
 
 
+def _one_of_them_renders(
+    two: tuple[list[TestClient], list[Waiting]], scene: dict[str, Any], until: Callable[[Any], None]
+) -> tuple[list[RenderService], str, int]:
+    """Both services, a job, and which of them has it."""
+    clients, runners = two
+    job = clients[0].post("/v1/jobs", json=scene).json()["id"]
+    until(lambda: any(job in runner.held for runner in runners))
+    services = [client.app.state.service for client in clients]  # type: ignore[attr-defined]
+    return services, job, 0 if job in runners[0].held else 1
+
+
 def test_a_dead_services_job_is_taken_over_and_the_dead_one_cannot_touch_it(
     two: tuple[list[TestClient], list[Waiting]],
     scene: dict[str, Any],
@@ -227,10 +238,8 @@ def test_a_dead_services_job_is_taken_over_and_the_dead_one_cannot_touch_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clients, runners = two
-    services: list[RenderService] = [client.app.state.service for client in clients]  # type: ignore[attr-defined]
-    job = clients[0].post("/v1/jobs", json=scene).json()["id"]
-    until(lambda: job in runners[0].held or job in runners[1].held)
-    dead, heir = (0, 1) if job in runners[0].held else (1, 0)
+    services, job, dead = _one_of_them_renders(two, scene, until)
+    heir = 1 - dead
     monkeypatch.setattr(services[dead].jobs, "beat", lambda *_: 0)  # as if it were stopped
     monkeypatch.setattr(services[dead].queue, "_look", lambda *_: None)
     monkeypatch.setattr(services[dead].queue, "_release", lambda *_: None)
@@ -252,11 +261,8 @@ def test_where_the_ledger_was_away_nobody_is_taken_for_dead(
     until: Callable[[Any], None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    clients, runners = two
-    services: list[RenderService] = [client.app.state.service for client in clients]  # type: ignore[attr-defined]
-    job = clients[0].post("/v1/jobs", json=scene).json()["id"]
-    until(lambda: job in runners[0].held or job in runners[1].held)
-    holder, other = (0, 1) if job in runners[0].held else (1, 0)
+    services, _, holder = _one_of_them_renders(two, scene, until)
+    other = 1 - holder
     monkeypatch.setattr(job_queue, "DEAD_SECONDS", 0.5)
     away, beats, beat = threading.Event(), Counter[int](), services[other].jobs.beat
     away.set()

@@ -16,15 +16,21 @@ static inline void deform_triangles(const float fraction, const EightTriangles *
   a->cz += fraction * (b->cz - a->cz);
 }
 
+// The triangles of the keyframes' packets from `first` on, where they are at a time.
+static inline void load_deforming(const SceneData *scene, const __global Packet8 *first, const RayAxes *r, const float time,
+                                  EightTriangles *e) {
+  const __global ShapeData *shape = scene->shapes + scene->triangles[first->primitive[0]].shape;
+  const DeformTime at = deform_time(scene, shape, time);
+  EightTriangles next;
+  load_triangles(first + at.first, r, e);
+  load_triangles(first + at.first + 1u, r, &next);
+  deform_triangles(at.fraction, &next, e);
+}
+
 static inline bool hit_deforming(const SceneData *scene, const uint word, const WideRay *w, const float time,
                                  const uint instance, const bool any, Hit *best) {
   const uint first = word & LEAF_PACKET_MASK;
-  const __global Packet8 *packet = scene->packets + first;
-  const __global ShapeData *shape = scene->shapes + scene->triangles[packet->primitive[0]].shape;
-  const DeformTime at = deform_time(scene, shape, time);
-  EightTriangles a, b;
-  load_triangles(packet + at.first, w, &a);
-  load_triangles(packet + at.first + 1u, w, &b);
-  deform_triangles(at.fraction, &b, &a);
-  return hit_triangles(&a, scene, first, w, instance, any, best);
+  EightTriangles e;
+  load_deforming(scene, scene->packets + first, &w->axes, time, &e);
+  return hit_triangles(&e, scene, first, w, instance, any, best);
 }

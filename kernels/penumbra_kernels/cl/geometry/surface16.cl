@@ -59,6 +59,9 @@ static inline Vec16 interpolate16(const Vec16 a, const Vec16 b, const Vec16 c, c
 
 static inline Vec16 max_of16(const Vec16 a, const Vec16 b) { return vec16(MAX16(a.x, b.x), MAX16(a.y, b.y), MAX16(a.z, b.z)); }
 
+// Packets beyond which gathers do not reach (lanes16.cl): their triangles go one by one.
+#define GATHERED_PACKETS (0x7fffffffu / WORDS(Packet8))
+
 static inline Vec16 packet_corner16(const SceneData *scene, const uint16 lane, const uint corner, const Mask16 on) {
   const __global float *packets = (const __global float *)scene->packets;
   const uint16 at = (lane >> 3u) * WORDS(Packet8) + (lane & 7u) + 24u * corner;
@@ -151,7 +154,8 @@ static inline Vec16 triangle_tangent16(const Vec16 a, const Vec16 b, const Vec16
 #endif
 
 // In the frame of their tree, with normals and tangents of any length. Returns the lanes that are left to do one by one.
-static inline Mask16 triangle_surfaces16(const SceneData *scene, const Hit16 *hit, const Mask16 on, Surface16 *s, Extra16 *extra) {
+static inline Mask16 triangle_surfaces16(const SceneData *scene, const Hit16 *hit, const Mask16 all, Surface16 *s, Extra16 *extra) {
+  const Mask16 on = all & (hit->lane >> 3u < GATHERED_PACKETS);
   const uint16 shape = gather_u16(&scene->triangles->shape, hit->primitive * WORDS(TriangleData), on);
   const uint16 flags = shape_field16(&scene->shapes->flags, shape, on);
   const Vec16 weight = vec16(1.0f - hit->u - hit->v, hit->u, hit->v);
@@ -186,11 +190,11 @@ static inline Mask16 triangle_surfaces16(const SceneData *scene, const Hit16 *hi
 #endif
   }
 #endif
-  Mask16 apart = !has_area;
+  Mask16 apart = ~on | !has_area;
 #if PENUMBRA_DEFORMATION
   apart |= shape_field16(&scene->shapes->deform_count, shape, on) != 0u;
 #endif
-  return on & apart;
+  return all & apart;
 }
 
 #if PENUMBRA_ROUND

@@ -9,17 +9,17 @@ typedef struct {
   float8 ax, ay, az, bx, by, bz, cx, cy, cz;
 } EightTriangles;
 
-static inline void load_triangles(const __global Packet8 *packet, const WideRay *w, EightTriangles *e) {
+static inline void load_triangles(const __global Packet8 *packet, const RayAxes *r, EightTriangles *e) {
   const __global float8 *p = (const __global float8 *)packet;
-  e->ax = p[w->kx];
-  e->ay = p[w->ky];
-  e->az = p[w->kz];
-  e->bx = p[3u + w->kx];
-  e->by = p[3u + w->ky];
-  e->bz = p[3u + w->kz];
-  e->cx = p[6u + w->kx];
-  e->cy = p[6u + w->ky];
-  e->cz = p[6u + w->kz];
+  e->ax = p[r->kx];
+  e->ay = p[r->ky];
+  e->az = p[r->kz];
+  e->bx = p[3u + r->kx];
+  e->by = p[3u + r->ky];
+  e->bz = p[3u + r->kz];
+  e->cx = p[6u + r->kx];
+  e->cy = p[6u + r->ky];
+  e->cz = p[6u + r->kz];
 }
 
 // The three vertices of a lane.
@@ -28,25 +28,34 @@ static inline void lane_vertices(const SceneData *scene, const uint lane, float3
   for (int i = 0; i < 3; i++, p += 24) v[i] = (float3)(p[0], p[8], p[16]);
 }
 
-// Offers the triangles that are hit; true where there is one (the caller of an any-hit query stops there).
-// packet: its index.
-static inline bool hit_triangles(const EightTriangles *e, const SceneData *scene, const uint packet, const WideRay *w,
-                                 const uint instance, const bool any, Hit *best) {
-  const float8 az = e->az - w->okz, bz = e->bz - w->okz, cz = e->cz - w->okz;
-  const float8 ax = (e->ax - w->okx) - w->sx * az, ay = (e->ay - w->oky) - w->sy * az;
-  const float8 bx = (e->bx - w->okx) - w->sx * bz, by = (e->by - w->oky) - w->sy * bz;
-  const float8 cx = (e->cx - w->okx) - w->sx * cz, cy = (e->cy - w->oky) - w->sy * cz;
+// The ray against the triangles: t and the weights of vertices 1 and 2 and a bit for each whose t is in (0, end), or,
+// where the closest hit is asked for, in (0, end].
+static inline uint meet_triangles(const EightTriangles *e, const RayAxes *r, const float end, const bool any, float8 *t, float8 *b1,
+                                  float8 *b2) {
+  const float8 az = e->az - r->oz, bz = e->bz - r->oz, cz = e->cz - r->oz;
+  const float8 ax = (e->ax - r->ox) - r->sx * az, ay = (e->ay - r->oy) - r->sy * az;
+  const float8 bx = (e->bx - r->ox) - r->sx * bz, by = (e->by - r->oy) - r->sy * bz;
+  const float8 cx = (e->cx - r->ox) - r->sx * cz, cy = (e->cy - r->oy) - r->sy * cz;
   const float8 u = difference_of_products8(cx, by, cy, bx);
   const float8 v = difference_of_products8(ax, cy, ay, cx);
   const float8 q = difference_of_products8(bx, ay, by, ax);
   const float8 low = MIN8(MIN8(u, v), q), high = MAX8(MAX8(u, v), q);
   const float8 det = u + v + q;
   const int8 inside = ((low >= 0.0f) | (high <= 0.0f)) & (det != 0.0f);
-  if (!lane_mask(inside)) return false;
+  if (!lane_mask(inside)) return 0u;
   const float8 inverse = 1.0f / det;
-  const float8 b0 = u * inverse, b1 = v * inverse, b2 = q * inverse;
-  const float8 t = (b0 * az + b1 * bz + b2 * cz) * w->sz;
-  uint mask = lane_mask(inside & (t > 0.0f) & (any ? t < best->t : t <= best->t));
+  *b1 = v * inverse;
+  *b2 = q * inverse;
+  *t = (u * inverse * az + *b1 * bz + *b2 * cz) * r->sz;
+  return lane_mask(inside & (*t > 0.0f) & (any ? *t < end : *t <= end));
+}
+
+// Offers the triangles that are hit; true where there is one (the caller of an any-hit query stops there).
+// packet: its index.
+static inline bool hit_triangles(const EightTriangles *e, const SceneData *scene, const uint packet, const WideRay *w,
+                                 const uint instance, const bool any, Hit *best) {
+  float8 t, b1, b2;
+  uint mask = meet_triangles(e, &w->axes, best->t, any, &t, &b1, &b2);
   if (!mask) return false;
   if (any) return true;
   const float8 ts[1] = {t}, us[1] = {b1}, vs[1] = {b2};
@@ -69,7 +78,7 @@ static inline bool hit_packets(const SceneData *scene, const uint word, const Wi
   bool found = false;
   for (uint n = (word >> LEAF_COUNT_SHIFT) & 3u; n; n--, packet++) {
     EightTriangles e;
-    load_triangles(scene->packets + packet, w, &e);
+    load_triangles(scene->packets + packet, &w->axes, &e);
     found |= hit_triangles(&e, scene, packet, w, instance, any, best);
     if (any && found) return true;
   }

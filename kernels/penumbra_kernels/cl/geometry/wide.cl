@@ -2,6 +2,12 @@
 #include "base/lanes.cl"
 #include "geometry/slack.h"
 
+// A ray prepared for triangles (Woop, Benthin, Wald 2013): axes with the largest of the direction's last, origin and shear along them.
+typedef struct {
+  uint kx, ky, kz;
+  float8 ox, oy, oz, sx, sy, sz;
+} RayAxes;
+
 // A ray in the frame of the tree that it is in, prepared for boxes and triangles.
 typedef struct {
   // Slabs: t of a plane is (plane - origin) * inverse. Near and far planes have their own origins and inverses, moved so
@@ -9,9 +15,7 @@ typedef struct {
   float8 near_ox, near_oy, near_oz, far_ox, far_oy, far_oz;
   float8 near_rx, near_ry, near_rz, far_rx, far_ry, far_rz;
   uint near_x, near_y, near_z;  // where a node's near planes begin, in floats; the far ones: ^ 8
-  // Triangles (Woop, Benthin, Wald 2013): axes with the largest of the direction's last, origin and shear along them.
-  uint kx, ky, kz;
-  float8 okx, oky, okz, sx, sy, sz;
+  RayAxes axes;
   float3 o, d;
 } WideRay;
 
@@ -72,14 +76,14 @@ static inline bool wide_ray(const float3 o, const float3 d, WideRay *w) {
   const float oa[3] = {o.x, o.y, o.z};
   const float ra[3] = {rx, ry, rz};
   const float sz = ra[kz];
-  w->kx = kx;
-  w->ky = ky;
-  w->kz = kz;
-  w->okx = oa[kx];
-  w->oky = oa[ky];
-  w->okz = oa[kz];
-  w->sx = da[kx] * sz;
-  w->sy = da[ky] * sz;
-  w->sz = sz;
+  w->axes.kx = kx;
+  w->axes.ky = ky;
+  w->axes.kz = kz;
+  w->axes.ox = oa[kx];
+  w->axes.oy = oa[ky];
+  w->axes.oz = oa[kz];
+  w->axes.sx = da[kx] * sz;
+  w->axes.sy = da[ky] * sz;
+  w->axes.sz = sz;
   return true;
 }
