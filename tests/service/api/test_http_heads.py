@@ -30,7 +30,9 @@ async def _answer(scope: Any, receive: Any, send: Any) -> None:
 def connect(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], socket.socket]]:
     """connect(): a connection to a server at work."""
     monkeypatch.setattr(http_heads, "HEAD_SECONDS", HEAD_SECONDS)
-    config = uvicorn.Config(_answer, lifespan="off", log_config=None, http=HeadTimedProtocol)
+    config = uvicorn.Config(
+        _answer, lifespan="off", log_config=None, log_level="critical", http=HeadTimedProtocol
+    )
     server = uvicorn.Server(config)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
