@@ -391,7 +391,13 @@ def main() -> None:
     parser.add_argument(
         "names", nargs="*", help="only these examples; then nothing is written (default: all)"
     )
+    parser.add_argument(
+        "--plot", action="store_true", help="measure nothing: only draw the plot again from the page"
+    )
     arguments = parser.parse_args()
+    if arguments.plot:
+        plot(PAGE.read_text())
+        return
     names = arguments.names or sorted(path.stem for path in EXAMPLES.glob("*.json"))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -409,8 +415,9 @@ def main() -> None:
             measured = {name: noise(name, device, folder) for name in NOISE_SCENES}
         finally:
             compiler.close()
-    PAGE.write_text(page(device, rows, extra, measured))
-    plot(rows)
+    text = page(device, rows, extra, measured)
+    PAGE.write_text(text)
+    plot(text)
 
 
 if __name__ == "__main__":
