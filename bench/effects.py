@@ -198,7 +198,7 @@ def check_noise(scene: Scene, own: Tracer, measuring: Tracer) -> NoiseCheck | No
     difference = half_square(first, second) - film
     error = float(difference.std(ddof=1) / np.sqrt(len(film)))
     rows = shares(first, second, mixed)
-    lowest = min((row.alone / row.error for row in rows if row.error > 0), default=0.0)
+    lowest = min((row.alone / row.error for row in rows if row.error), default=0.0)
     mean = float(film.mean())
     return NoiseCheck(1 + float(difference.mean()) / mean, error / mean, lowest) if mean > 0 else None
 

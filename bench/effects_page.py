@@ -122,6 +122,10 @@ def findings(rows: Sequence[Row]) -> list[str]:
     ]
 
 
+def _with_error(share: float, error: float | None) -> str:
+    return f"{100 * share:.0f} +- {'?' if error is None else f'{100 * error:.0f}'}"
+
+
 def _noise_table(measured: dict[str, EffectsMeasured]) -> list[str]:
     groups = ("pixel", "lens", "time", "lights", "directions", "interactions")
     lines = [
@@ -133,7 +137,7 @@ def _noise_table(measured: dict[str, EffectsMeasured]) -> list[str]:
         typical = {row.group: (row.typical, row.typical_error) for row in found.noise}
         peak = f"{100 * (found.noise_peak or 0.0):.0f}"
         for what, rows, last in (("the whole", whole, peak), ("a typical block", typical, "")):
-            cells = [f"{100 * rows[g][0]:.0f} +- {100 * rows[g][1]:.0f}" if g in rows else "" for g in groups]
+            cells = [_with_error(*rows[g]) if g in rows else "" for g in groups]
             total = 100 * sum(share for share, _ in rows.values())
             lines.append(f"| `{name}` | {what} | " + " | ".join(cells) + f" | {total:.0f} | {last} |")
     return lines

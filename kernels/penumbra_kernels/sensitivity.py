@@ -52,12 +52,12 @@ class Share:
     group: str
     alone: float
     """Share of the variance of a replicate's mean. Estimated: may come out a little below 0."""
-    error: float
-    """Its standard error."""
+    error: float | None
+    """Its standard error, from the spread over blocks; None where there is one."""
     typical: float
     """Share of the variance in a block, on average over blocks."""
-    typical_error: float
-    """Its standard error."""
+    typical_error: float | None
+    """Its standard error; None where one block has noise, or none."""
     together: float | None
     """The share that the group has a part in, interactions included; None for the interactions' own row."""
 
@@ -129,9 +129,9 @@ def _row(
     )
 
 
-def _error(values: Array) -> float:
-    """Standard error of a mean."""
-    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+def _error(values: Array) -> float | None:
+    """Standard error of a mean; None, unknown, of fewer than two values."""
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
 
 def shares(first: Array, second: Array, mixed: Mapping[str, Array]) -> tuple[Share, ...]:
@@ -159,10 +159,10 @@ def peak(first: Array, second: Array) -> float:
     return float(by_block[: max(len(by_block) // 100, 1)].sum()) / whole if whole > 0.0 else 0.0
 
 
-def variance_of(first: Array, second: Array) -> tuple[float, float]:
-    """The whole, V, and its standard error, from the same values as `shares`."""
+def variance_of(first: Array, second: Array) -> tuple[float, float | None]:
+    """The whole, V, and its standard error, from the same values as `shares`; None where there is one block."""
     whole = half_square(first, second)
-    return float(whole.mean()), float(whole.std(ddof=1) / np.sqrt(len(whole))) if len(whole) > 1 else 0.0
+    return float(whole.mean()), _error(whole)
 
 
 def values_of(tracer: Tracer, tiles: Sequence[Tile], sample_count: int, other_groups: int) -> Array:

@@ -13,13 +13,13 @@ class NoiseShare(Model):
     """pixel, lens, time, lights, directions, or interactions: what several do together and none alone."""
     alone: Float
     """First-order sensitivity index; all rows add up to 1. An estimate: may come out a little below 0."""
-    error: Float
-    """Its standard error."""
+    error: Float | None
+    """Its standard error, from the spread over blocks. Null, unknown, where there is one block."""
     typical: Float = 0.0
     """The same share in a block, on average over blocks: what to go by where a few bright pixels carry the noise
     (`noise_peak`)."""
-    typical_error: Float = 0.0
-    """Its standard error."""
+    typical_error: Float | None = None
+    """Its standard error. Null, unknown, where no two blocks have noise."""
     together: Float | None = None
     """Total-effect index: the share that the group has a part in. Null for interactions."""
 

@@ -76,17 +76,30 @@ def _noise_lines(measured: EffectsMeasured) -> list[str]:
     if not measured.noise:
         return ["noise: none"]
     rows = [
-        f"{row.group:<13} {100 * row.alone:6.1f} +- {100 * row.error:4.1f} %"
-        f" {100 * row.typical:8.1f} +- {100 * row.typical_error:4.1f} %"
+        f"{row.group:<13} {100 * row.alone:6.1f} +- {_per_cent(row.error)}"
+        f" {100 * row.typical:8.1f} +- {_per_cent(row.typical_error)}"
         + ("" if row.together is None else f" {100 * row.together:12.1f} %")
         for row in measured.noise
     ]
     head = f"{'noise':<13} {'of the whole':>16} {'in a typical block':>18} {'with others':>14}"
-    return [head, *rows, *_peak_lines(measured.noise_peak)]
+    return [head, *rows, *_unknown_lines(measured), *_peak_lines(measured)]
 
 
-def _peak_lines(peak: float | None) -> list[str]:
-    if peak is None or peak < PEAK:
+def _per_cent(error: float | None) -> str:
+    return "   ? %" if error is None else f"{100 * error:4.1f} %"
+
+
+def _unknown_lines(measured: EffectsMeasured) -> list[str]:
+    if all(row.error is not None and row.typical_error is not None for row in measured.noise):
+        return []
+    return [
+        "?: an error that is unknown; errors come from the spread over blocks, and there is one with noise"
+    ]
+
+
+def _peak_lines(measured: EffectsMeasured) -> list[str]:
+    peak = measured.noise_peak
+    if peak is None or peak < PEAK or measured.blocks == 1:
         return []
     return [
         f"{100 * peak:.0f} % of the noise is in the noisiest hundredth of the blocks: shares of the whole are those of a few"

@@ -86,6 +86,14 @@ def test_without_noise_there_are_no_shares() -> None:
     assert peak(flat, flat) == 0
 
 
+def test_errors_of_a_single_block_are_unknown() -> None:
+    """They come from the spread over blocks: one has none to show."""
+    first, second, mixed = np.random.default_rng(5).normal(size=(3, 1, 8, 4))
+    rows = shares(first, second, {"pixel": mixed})
+    assert [(row.error, row.typical_error) for row in rows] == [(None, None), (None, None)]
+    assert variance_of(first, second)[1] is None
+
+
 def test_a_few_bright_values_leave_the_table_of_a_typical_block() -> None:
     """One value in each draw some thousand times the others, as a caustic gives them."""
     rng = np.random.default_rng(3)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from penumbra_kernels.device import devices
-from penumbra_service.explain import table
+from penumbra_service.explain import explain, table
 from penumbra_service.measuring import MeasureError, Request, for_receipt, measure_effects
 
 SCENE: dict[str, Any] = {
@@ -35,6 +35,21 @@ def test_a_scenes_effects_are_measured_in_seconds_and_in_noise(tmp_path: Path) -
     assert [cost.effect for cost in measured.costs] == ["lens", "delta_lights"]
     assert all(cost.seconds > 0 and cost.seconds_without > 0 for cost in measured.costs)
     assert "interactions" in table(measured)
+
+
+@pytest.mark.skipif(not devices(), reason="no OpenCL device")
+def test_errors_of_a_film_of_one_block_are_said_to_be_unknown(tmp_path: Path) -> None:
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps({**SCENE, "film": {"width": 8, "height": 8}}))
+    measured = measure_effects(Request(str(path), None, None, 0.0, None, 0.1))
+    assert measured.blocks == 1
+    told = json.loads(explain(path, as_json=True, measured=measured))["measured"]["noise"]
+    assert told
+    assert all(row["error"] is None and row["typical_error"] is None for row in told)
+    text = table(measured)
+    assert text.count("+-    ? %") == 2 * len(told)
+    assert "unknown" in text
+    assert "noisiest" not in text, "a block alone is no few of many"
 
 
 def test_a_picture_is_not_lost_where_nothing_can_be_measured(tmp_path: Path) -> None:
