@@ -1,16 +1,20 @@
-"""Built programs on disk, keyed by all that they depend on. A broken entry is rebuilt, never fatal."""
+"""The cache folder, and in it built programs, keyed by all that they depend on. A broken entry is rebuilt, never fatal."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from penumbra_scene.exits import Exit
 
 if TYPE_CHECKING:
     from penumbra_kernels.device import DeviceInfo
@@ -19,15 +23,78 @@ MAX_BYTES: Final = 512 * 1024 * 1024
 """Of all entries, unless PENUMBRA_CACHE_BYTES says otherwise; those that were not used for longest go first."""
 ABANDONED_SECONDS: Final = 3600.0
 """A temporary file of that age was left by a process that was killed."""
+VARIABLE: Final = "PENUMBRA_CACHE"
+PROGRAMS: Final = "programs"
+"""The folder of built programs and large trees."""
 _DIGEST: Final = 32
+
+
+class CacheFolderError(Exception):
+    """The cache folder cannot be one; the message says what names it, what was given and what is accepted."""
+
+    exit_code = Exit.USAGE
 
 
 def folder() -> Path:
     """PENUMBRA_CACHE, or penumbra under the user's cache folder."""
-    root = os.environ.get("PENUMBRA_CACHE")
+    root = os.environ.get(VARIABLE)
     if root:
         return Path(root)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "penumbra"
+
+
+def check() -> None:
+    """Raises CacheFolderError where the cache folder is no folder, nor could become one. One that cannot be written is
+    accepted: it may hold all that is needed."""
+    path = folder()
+    try:
+        check_folder(path)
+    except OSError as error:
+        raise _refused(path, error) from error
+
+
+def made(name: str) -> Path:
+    """The folder of that name in the cache folder, made if need be. Raises CacheFolderError where it cannot be written."""
+    check()
+    path = folder() / name
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise _refused(path, error) from error
+    return path
+
+
+def check_folder(path: Path) -> None:
+    """Raises OSError where `path` is no folder, nor could become one, since there is something else on its way."""
+    nearest = next((place for place in (path, *path.parents) if place.exists()), None)
+    if nearest is not None and not nearest.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
+
+
+def _refused(path: Path, error: OSError) -> CacheFolderError:
+    given = os.environ.get(VARIABLE)
+    told = f"given {given!r}" if given else "not given"
+    return CacheFolderError(
+        f"{VARIABLE}: {told}, but {error.filename or path}: {error.strerror}; accepted: a folder that can be written, or a "
+        "path where one can be made"
+    )
+
+
+def put(path: Path, data: bytes) -> None:
+    """Write a file of the cache, wholly or not at all; a folder in its place gives way. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        Path(temporary).replace(path)
+    except OSError:
+        Path(temporary).unlink(missing_ok=True)
+        raise
 
 
 def capacity() -> int:
@@ -44,12 +111,12 @@ def key(source: str, options: Sequence[str], device: DeviceInfo) -> str:
 
 
 def _path(key: str) -> Path:
-    return folder() / "programs" / f"{key}.bin"
+    return folder() / PROGRAMS / f"{key}.bin"
 
 
 def has(key: str) -> bool:
     """Whether there is an entry, sound or not."""
-    return _path(key).exists()
+    return _path(key).is_file()
 
 
 def load(key: str) -> bytes | None:
@@ -72,11 +139,7 @@ def store(key: str, binary: bytes) -> None:
     """Write atomically; a full or read-only disk only means that the next start compiles again."""
     path = _path(key)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        with os.fdopen(handle, "wb") as file:
-            file.write(hashlib.sha256(binary).digest() + binary)
-        Path(temporary).replace(path)
+        put(path, hashlib.sha256(binary).digest() + binary)
     except OSError:
         return
     _trim(path.parent)

@@ -10,10 +10,7 @@ import contextlib
 import hashlib
 import json
 import math
-import os
-import tempfile
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
@@ -97,11 +94,7 @@ class History:
 
     def _write(self, past: Past) -> None:
         with contextlib.suppress(OSError):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(dir=self._path.parent, suffix=".tmp")
-            with os.fdopen(handle, "w") as file:
-                json.dump(asdict(past), file)
-            Path(temporary).replace(self._path)
+            cache.put(self._path, json.dumps(asdict(past)).encode())
 
 
 def _parse(data: dict[str, Any]) -> Past:

@@ -91,10 +91,13 @@ def _configure_serve(parser: argparse.ArgumentParser) -> None:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
+    from penumbra_kernels import cache
+
     from penumbra_service.engine.launch import be_frugal, ids_of, start_first
     from penumbra_service.settings import SettingsError
 
     be_frugal()
+    cache.check()
     settings = _settings(
         host=arguments.host,
         port=arguments.port,
@@ -274,6 +277,7 @@ def _explain(arguments: argparse.Namespace) -> int:
         measured = None
         explain(arguments.scene, arguments.time)  # what is no scene is told before a device is asked for
         if arguments.measure:
+            cache.check()
             scene = arguments.scene.resolve()
             folders = (str(cache.folder() / "assets"), str(scene.parent))
             request = Request(str(scene), *folders, arguments.time, arguments.device, arguments.budget)

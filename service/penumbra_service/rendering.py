@@ -150,8 +150,9 @@ def quote(request: JobRequest, folder: Path, devices: str) -> Quote:
 def local_engine(devices: str, first: Child | None = None) -> Iterator[LocalEngine]:
     """An engine of this machine that knows its devices; ids with commas between them, or "" for all.
 
-    Raises CommandError.
+    Raises CommandError, CacheFolderError.
     """
+    cache.check()
     with LocalEngine(ids_of(devices), first=first) as engine:
         try:
             engine.wait_known()
@@ -161,10 +162,8 @@ def local_engine(devices: str, first: Child | None = None) -> Iterator[LocalEngi
 
 
 def assets_folder() -> Path:
-    """Where decoded assets are kept where there is no service."""
-    folder = cache.folder() / "assets"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    """Where decoded assets are kept where there is no service. Raises CacheFolderError."""
+    return cache.made("assets")
 
 
 def _pictures(engine: ServedEngine, folder: Path) -> PictureRunner:

@@ -81,8 +81,10 @@ def _programs(paths: Sequence[Path], samplers: Sequence[str]) -> list[tuple[str,
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from penumbra_kernels import cache
     from penumbra_kernels.compiler import Compiler
 
+    cache.made(cache.PROGRAMS)
     programs = _programs(arguments.scenes, _samplers(arguments.sampler))
     refused = 0
     for device in _devices(arguments.device):

@@ -127,6 +127,54 @@ def test_what_a_killed_process_left_is_swept_away(own: Path) -> None:
     assert new.exists()
 
 
+def test_a_folder_in_an_entrys_place_is_replaced(own: Path) -> None:
+    """Somebody's mistake would else cost a compilation at every start."""
+    (own / "programs" / "a.bin" / "more").mkdir(parents=True)
+    assert not cache.has("a")
+    assert cache.load("a") is None
+    cache.store("a", b"x")
+    assert cache.load("a") == b"x"
+
+
+def test_what_cannot_be_written_leaves_nothing_behind(own: Path) -> None:
+    (own / "a").write_text("")
+    with pytest.raises(OSError, match=r"Not a directory|File exists"):
+        cache.put(own / "a" / "b", b"x")
+    assert [path.name for path in own.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("given", ["file", "file/below", "programs is a file"])
+def test_a_cache_folder_that_is_none_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: str
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "programs").write_text("")
+    folder = tmp_path if given == "programs is a file" else tmp_path / given
+    monkeypatch.setenv("PENUMBRA_CACHE", str(folder))
+    with pytest.raises(
+        cache.CacheFolderError, match=r"^PENUMBRA_CACHE: given '.*', but .*; accepted: a folder"
+    ) as told:
+        cache.made("programs")
+    assert repr(str(folder)) in str(told.value)
+    if folder != tmp_path:
+        with pytest.raises(cache.CacheFolderError):
+            cache.check()
+
+
+def test_a_cache_folder_that_is_not_there_yet_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PENUMBRA_CACHE", str(tmp_path / "a" / "b"))
+    cache.check()
+    assert not (tmp_path / "a").exists()
+    assert cache.made("programs").is_dir()
+    monkeypatch.delenv("PENUMBRA_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(cache.CacheFolderError, match=r"^PENUMBRA_CACHE: not given, but "):
+        cache.check()
+
+
 @pytest.mark.parametrize("damage", ["empty", "short", "flipped", "sound but refused"])
 def test_a_broken_entry_is_built_anew(own: Path, device: Device, damage: str) -> None:
     text = "__kernel void k(__global float *out) { out[0] = 3.0f; }"

@@ -52,6 +52,17 @@ def test_only_the_newest_are_kept(own: Path) -> None:
     assert [name for name, _ in history.read().spent] == [*map(str, range(4, 3 + KEPT)), "3"]
 
 
+def test_a_folder_in_the_files_place_is_replaced(own: Path) -> None:
+    history = History(INFO)
+    history.add_rate(1.0)
+    (file,) = (own / "history").iterdir()
+    file.unlink()
+    (file / "more").mkdir(parents=True)
+    assert history.read() == Past()
+    history.add_gain(1.5)
+    assert history.read().gains == (1.5,)
+
+
 @pytest.mark.parametrize(
     "text",
     [

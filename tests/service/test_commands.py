@@ -87,6 +87,36 @@ def test_serve_ends_cleanly_on_ctrl_c(environment: dict[str, str]) -> None:
         assert process.wait(60) == Exit.OK
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("render", "SCENE", "--out", "OUT"),
+        ("quote", "SCENE"),
+        ("compare", "SCENE", "--out", "OUT", "--no-plots"),
+        ("explain", "SCENE", "--measure"),
+        ("warm", "SCENE"),
+        ("selftest", "--case", "1"),
+        ("serve", "--port", "0"),
+        ("worker", "--scheduler", "tcp://127.0.0.1:1"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_cache_that_is_no_folder_is_told_by_every_command(
+    environment: dict[str, str], tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    scene, cache = tmp_path / "scene.json", tmp_path / "cache.txt"
+    scene.write_text(json.dumps(SCENE))
+    cache.write_text("")
+    places = {"SCENE": str(scene), "OUT": str(tmp_path / "out")}
+    result = _penumbra(
+        *[places.get(word, word) for word in words], environment={**environment, "PENUMBRA_CACHE": str(cache)}
+    )
+    assert result.returncode == Exit.USAGE
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"penumbra: PENUMBRA_CACHE: given '{cache}', but ")
+    assert "accepted: a folder" in line
+
+
 def test_a_public_address_without_a_key_is_refused(environment: dict[str, str]) -> None:
     result = _penumbra("serve", "--host", "0.0.0.0", "--port", "0", environment=environment)
     assert result.returncode == Exit.USAGE

@@ -92,8 +92,10 @@ def _devices(words: list[str] | None) -> list[str]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from penumbra_kernels import cache
     from penumbra_kernels.device import Device
 
+    cache.check()
     wanted = _wanted(arguments.case)
     outcomes: list[Outcome] = []
     machines = []

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,10 +106,6 @@ def _read(path: Path) -> Picture | None:
 
 
 def _write(path: Path, picture: Picture) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(suffix=".npz", dir=path.parent)
-    with os.fdopen(handle, "wb") as file:
-        np.savez_compressed(
-            file, rgb=picture.rgb, variance=picture.variance, samples=np.float64(picture.samples)
-        )
-    Path(name).replace(path)
+    file = io.BytesIO()
+    np.savez_compressed(file, rgb=picture.rgb, variance=picture.variance, samples=np.float64(picture.samples))
+    cache.put(path, file.getvalue())

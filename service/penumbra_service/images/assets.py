@@ -66,7 +66,7 @@ class FolderAssets:
             path = self._path(ref)
             digest = ref.asset.removeprefix("sha256:") if ref.asset else self._digest(path)
             kept = self._cache / f"v{CACHE_VERSION}" / kind / digest
-            if not kept.is_dir():
+            if not _is_entry(kept):
                 self._decode(path, kind, kept)
             with contextlib.suppress(OSError):
                 os.utime(kept)  # used just now: housekeeping removes what was not for long
@@ -118,10 +118,12 @@ class FolderAssets:
             out.mkdir()
             task = {"kind": kind, "format": format_name, "path": str(source), "out": str(out)}
             self._run({**task, "limits": asdict(self._limits)})
+            if not _is_entry(kept):
+                _remove(kept)
             try:
                 out.rename(kept)
             except OSError:
-                if not kept.is_dir():  # else another process was faster, with the same result
+                if not _is_entry(kept):  # else another process was faster, with the same result
                     raise
                 shutil.rmtree(out)
 
@@ -146,6 +148,19 @@ class FolderAssets:
                 f"its decoder died ({_end(done.returncode)}): the file is broken, or takes more than "
                 f"{self._limits.memory_bytes >> 20} MiB of memory"
             )
+
+
+def _is_entry(kept: Path) -> bool:
+    """Whether arrays lie there: an entry appears with all of its own."""
+    return next(kept.glob("*.npy"), None) is not None
+
+
+def _remove(path: Path) -> None:
+    """What is in an entry's place and is none."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def decoded_entries(assets_folder: Path) -> list[Path]:

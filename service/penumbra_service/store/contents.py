@@ -72,6 +72,8 @@ class ContentStore:
         """The file's copy in `folder`, filed as assets are; fetched unless it is there. Raises
         BrokenContentError, FileNotFoundError."""
         target = asset_file(folder, sha256)
+        if target.is_dir():  # not of our making
+            shutil.rmtree(target)
         with contextlib.suppress(FileNotFoundError):
             os.utime(target)  # used just now: the oldest are removed first
             return target

@@ -104,6 +104,12 @@ def test_a_reference_is_rendered_once_and_again_where_it_broke(
         path.write_bytes(b"PK broken")
     kept.get(scene, 0.0, render)
     assert len(made) == 4
+    for path in tmp_path.iterdir():
+        path.unlink()
+        (path / "more").mkdir(parents=True)
+    kept.get(scene, 0.0, render)
+    kept.get(scene, 0.0, render)
+    assert len(made) == 5, "a folder in a reference's place is replaced"
 
 
 def run(*words: str) -> int:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import dask
 import pytest
+from penumbra_kernels.cache import CacheFolderError
 from penumbra_service.engine.dask import publisher as publishing
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.certs import ROLES, CertsExistError, make_certs
@@ -219,6 +220,18 @@ def test_a_device_that_fails_the_self_test_does_not_join(tmp_path, caplog):  # t
         supervise(options)
     assert "device fake:0 does not join" in caplog.text
     assert "case 12 failed" in caplog.text
+
+
+@pytest.mark.parametrize("named", ["--cache", "PENUMBRA_CACHE"])
+def test_a_worker_whose_cache_is_no_folder_does_not_start(tmp_path, monkeypatch, named):  # type: ignore[no-untyped-def]
+    (tmp_path / "file").write_text("")
+    if named == "PENUMBRA_CACHE":
+        monkeypatch.setenv("PENUMBRA_CACHE", str(tmp_path / "file"))
+    options = WorkerOptions("tcp://127.0.0.1:1", cache=tmp_path / ("file" if named == "--cache" else "farm"))
+    with pytest.raises(
+        (SettingsError, CacheFolderError), match=rf"^{named}: given '.*file', but .*; accepted: a folder"
+    ):
+        supervise(options)
 
 
 def test_dask_reads_from_variables_what_our_own_processes_tell_it():

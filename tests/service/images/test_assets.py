@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from penumbra_kernels.assets import AssetError, MeshData
 from penumbra_scene.assets import AssetRef
-from penumbra_service.images.assets import FolderAssets
+from penumbra_service.images.assets import CACHE_VERSION, FolderAssets
 from penumbra_service.images.decode import attempt
 from penumbra_service.images.limits import DecodeLimits
 
@@ -354,6 +354,22 @@ def test_files_triangles_and_pixels_have_limits(tmp_path: Path) -> None:
     ):
         with pytest.raises(AssetError, match=words):
             FolderAssets(tmp_path / f"a{words[0]}", tmp_path, limits=limits).mesh(ref)
+
+
+@pytest.mark.parametrize("found", ["a file", "an empty folder", "another folder"])
+def test_what_is_no_entry_gives_way_to_one(assets: FolderAssets, tmp_path: Path, found: str) -> None:
+    (tmp_path / "file").write_text(OBJ + "f 1 2 3\n")
+    digest = hashlib.sha256((tmp_path / "file").read_bytes()).hexdigest()
+    place = tmp_path / "assets" / ".decoded" / f"v{CACHE_VERSION}" / "mesh" / digest
+    place.parent.mkdir(parents=True)
+    if found == "a file":
+        place.write_text("")
+    else:
+        place.mkdir()
+    if found == "another folder":
+        (place / "note.txt").write_text("")
+    for _ in range(2):
+        assert len(assets.mesh(AssetRef(file="file")).indices) == 1
 
 
 def test_files_stay_inside_the_scenes_folder(tmp_path: Path) -> None:

@@ -127,6 +127,12 @@ def test_contents_go_once_nobody_has_put_them_for_long(
     assert has(contents, unused, tmp_path / "two")
 
 
+def test_a_folder_in_the_place_of_what_is_fetched_is_replaced(contents: ContentStore, tmp_path: Path) -> None:
+    digest = put(contents, tmp_path, b"data")
+    (asset_file(tmp_path / "fetched", digest) / "more").mkdir(parents=True)
+    assert contents.fetch(digest, tmp_path / "fetched").read_bytes() == b"data"
+
+
 def test_what_is_put_while_others_are_removed_stays(
     contents: ContentStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -26,7 +26,8 @@ _AGENTS: Final[dict[str, Agent]] = {}
 
 
 async def dask_setup(worker: Worker) -> None:
-    """Dask calls it before the worker joins. Raises NoDeviceError."""
+    """Dask calls it before the worker joins. Raises NoDeviceError, CacheFolderError."""
+    cache.check()
     found = await asyncio.to_thread(list_devices)
     wanted = os.environ.get("PENUMBRA_DEVICES") or (found[0].id if found else "")
     if wanted not in {device.id for device in found}:

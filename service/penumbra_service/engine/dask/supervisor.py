@@ -24,6 +24,7 @@ from penumbra_kernels import cache
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.launch import DEVICE_COMMAND
 from penumbra_service.engine.local import NoDeviceError, list_devices
+from penumbra_service.settings import SettingsError
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +62,9 @@ class WorkerOptions:
 
 
 def supervise(options: WorkerOptions) -> None:
-    """Keep the workers up until SIGTERM or SIGINT. Raises SettingsError, NoDeviceError."""
+    """Keep the workers up until SIGTERM or SIGINT. Raises SettingsError, NoDeviceError, CacheFolderError."""
+    cache.check()
+    _check_cache(options.cache)
     check_scheduler(options.scheduler, options.tls)
     security(options.tls, "worker")
     devices = [device for device in _chosen(options) if _fit(device, options.selftest)]
@@ -84,6 +87,16 @@ def supervise(options: WorkerOptions) -> None:
         worker.ask_to_leave()
     for worker in workers:
         worker.end()
+
+
+def _check_cache(folder: Path) -> None:
+    try:
+        cache.check_folder(folder)
+    except OSError as error:
+        raise SettingsError(
+            f"--cache: given {str(folder)!r}, but {error.filename or folder}: {error.strerror}; accepted: a folder, or a path "
+            "where one can be made"
+        ) from error
 
 
 def _chosen(options: WorkerOptions) -> list[str]:
