@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+from penumbra_scene.area import emits
 from penumbra_scene.errors import pointer
 from penumbra_scene.materials import (
     Conductor,
@@ -31,7 +32,6 @@ from penumbra_kernels.compile.transforms import is_similarity, matrix_at, moves
 from penumbra_kernels.layout import CONSTANTS
 from penumbra_kernels.reach import (
     Path,
-    emits,
     is_black,
     lit_environment,
     placed_shapes,

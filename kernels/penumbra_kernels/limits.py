@@ -11,10 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from penumbra_scene.area import emits
 from penumbra_scene.materials import Material
 from penumbra_scene.scene import Scene
 
-from penumbra_kernels.reach import emits, placed_shapes, used_materials
+from penumbra_kernels.reach import placed_shapes, used_materials
 
 SMOOTH_ROUGHNESS: Final = 0.01
 """Below it a microfacet surface is a perfect mirror or a clear pane (docs/numerics.md)."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from penumbra_scene.lights import ConstantEnvironment, DirectionalLight, Environment, Light
 from penumbra_scene.materials import Color, Diffuse, DiffuseTransmission, Material, Phong, TextureRef
 from penumbra_scene.scene import Scene
-from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Shape, Sphere
+from penumbra_scene.shapes import Disc, Instance, Mesh, Quad, Shape, Sphere
 from penumbra_scene.textures import ConstantTexture
 
 Path = tuple[str | int, ...]
@@ -66,13 +66,6 @@ def texture_uses(scene: Scene) -> Iterator[tuple[Path, str]]:
             value = getattr(material, key)
             if isinstance(value, TextureRef) and constant_color(scene, value) is None:
                 yield ("materials", name, key), value.texture
-
-
-def emits(shape: Shape | Sphere | Quad | Disc | Mesh) -> bool:
-    """Whether a shape gives light."""
-    if isinstance(shape, (Plane, Instance)) or shape.emission is None:
-        return False
-    return any(shape.emission.radiance)
 
 
 def shines(light: Light) -> bool:

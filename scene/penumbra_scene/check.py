@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from penumbra_scene import limits
 from penumbra_scene.adaptive import Adaptive
+from penumbra_scene.area import LEAST_AREA, MOST_TRIANGLES_LOOKED_AT, emits, flat_triangles, has_area
 from penumbra_scene.assets import AssetRef
-from penumbra_scene.base import Vec3
 from penumbra_scene.errors import pointer, shorten
 from penumbra_scene.film import BoxFilter
 from penumbra_scene.lights import ImageEnvironment
@@ -31,11 +31,6 @@ _PIXEL_BOX: Final = 0.5
 _UNIFORM: Final = 1e-5
 """Relative difference of scale factors that still counts as one factor: far above what rotations written with
 six digits leave, far below what would show."""
-
-_FLAT: Final = 1e-12
-"""Sine of an angle between a triangle's sides that rounding in float64 makes of 0, and more."""
-_MOST_TRIANGLES_LOOKED_AT: Final = 200_000
-"""Larger meshes are not searched for flat triangles: that would take longer than all other checks."""
 
 
 @dataclass(frozen=True)
@@ -288,46 +283,29 @@ def _energy(scene: Scene) -> Iterator[SceneError]:
 
 
 def _flat(scene: Scene) -> Iterator[SceneError]:
-    """Triangles of inline meshes that are points or lines: no ray meets them, and they give no light."""
+    """Points and lines: no ray meets them, and they give no light."""
     for path, shape in _each_shape(scene):
-        if not isinstance(shape, Mesh) or not shape.indices or len(shape.indices) > _MOST_TRIANGLES_LOOKED_AT:
+        if isinstance(shape, (Plane, Instance)):
             continue
-        count = _flat_triangles(shape)
-        if count:
-            share = "all" if count == len(shape.indices) else f"{count} of {len(shape.indices)}"
-            effect = "are never seen and give no light" if shape.emission is not None else "are never seen"
-            message = f"{share} triangles have no area: they {effect}"
+        effect = "never seen" + ("" if shape.emission is None else " and gives no light")
+        flat = _flat_among(shape)
+        if isinstance(shape, Mesh) and flat:
+            share = "all" if flat == len(shape.indices or ()) else f"{flat} of {len(shape.indices or ())}"
+            message = f"{share} triangles have no area: they are {effect.replace('gives', 'give')}"
             yield SceneError(pointer((*path, "indices")), message, warning=True)
+        elif path[0] == "shapes" and not has_area(shape):  # a prototype's size is its instances'
+            message = f"its area is below {LEAST_AREA:.2g} m^2, which is nothing in float32: it is {effect}"
+            yield SceneError(pointer(path), message, warning=True)
 
 
-def _flat_triangles(mesh: Mesh) -> int:
-    return sum(_is_flat(mesh, triangle) for triangle in mesh.indices or ())
-
-
-def _is_flat(mesh: Mesh, triangle: tuple[int, int, int]) -> bool:
-    """Whether the triangle's corners lie on a line, now and (with a deformation) always."""
-    frames = [k.positions for k in mesh.deformation] if mesh.deformation else [mesh.positions or ()]
-    return all(_on_a_line(*(positions[i] for i in triangle)) for positions in frames)
-
-
-def _on_a_line(a: Vec3, b: Vec3, c: Vec3) -> bool:
-    u = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
-    v = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
-    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-    sizes = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    return x * x + y * y + z * z <= _FLAT * _FLAT * sizes
-
-
-def _shines(shape: Shape) -> bool:
-    if isinstance(shape, (Instance, Plane)) or shape.emission is None or not any(shape.emission.radiance):
-        return False
-    if not isinstance(shape, Mesh) or not shape.indices or len(shape.indices) > _MOST_TRIANGLES_LOOKED_AT:
-        return True
-    return _flat_triangles(shape) < len(shape.indices)
+def _flat_among(shape: Shape) -> int:
+    if not isinstance(shape, Mesh) or len(shape.indices or ()) > MOST_TRIANGLES_LOOKED_AT:
+        return 0
+    return flat_triangles(shape)
 
 
 def _light(scene: Scene) -> Iterator[SceneError]:
-    if not any(map(_shines, scene.shapes)) and not scene.lights and scene.environment is None:
+    if not any(map(emits, scene.shapes)) and not scene.lights and scene.environment is None:
         message = "the scene has no light: no lights, no environment, no shape of some area with an emission"
         yield SceneError("", message, warning=True)
     if not scene.shapes and scene.environment is None:

@@ -20,6 +20,7 @@ BASE: dict[str, Any] = {
 LIT: dict[str, Any] = {"lights": [{"type": "point"}]}
 """Light to be carried on: without any there is none."""
 DARK = {"type": "point", "intensity": 0}
+GLOW: dict[str, Any] = {"emission": {"radiance": 1}}
 SHUTTER = {"open": 0.0, "close": 1.0}
 MOVE = {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": [{"translate": [1, 0, 0]}]}]}
 STRETCH = {
@@ -246,6 +247,37 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
             ],
         },
         set(),
+    ),
+    (
+        "emitters without an area",
+        {
+            "shapes": [
+                {
+                    "type": "mesh",
+                    "positions": [[0, 0, 0], [1, 1, 1], [2, 2, 2]],
+                    "indices": [[0, 1, 2]],
+                    **GLOW,
+                },
+                {
+                    "type": "quad",
+                    "u": [1e-18, 0, 0],
+                    "v": [0, 1e-18, 0],
+                    "transform": {"scale": 0.01},
+                    **GLOW,
+                },
+            ]
+        },
+        set(),
+    ),
+    (
+        "a lamp beside emitters without an area: there is nothing to choose",
+        {
+            "shapes": [
+                {"type": "quad", **GLOW},
+                *({"type": "disc", "radius": 1e-25, **GLOW} for _ in range(4)),
+            ]
+        },
+        {"round", "area_lights"},
     ),
     ("layers", {"film": {"layers": ["normal"]}}, {"layers"}),
 ]

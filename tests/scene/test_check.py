@@ -245,6 +245,23 @@ def test_a_light_without_an_area_is_told_of_and_is_no_light() -> None:
     assert warnings(dark) == []
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"type": "sphere", "radius": 1e-25},
+        {"type": "disc", "radius": 1e-25},
+        {"type": "quad", "u": [1e-18, 0, 0], "v": [0, 1e-18, 0], "transform": {"scale": 0.01}},
+    ],
+    ids=lambda shape: shape["type"],
+)
+def test_what_is_nothing_in_float32_is_told_of(shape: dict[str, Any]) -> None:
+    dark = {**CAMERA, "environment": None, "shapes": [{**shape, "emission": {"radiance": 1}}]}
+    seen, light = warnings(dark)
+    assert seen.startswith("its area is below 1.2e-38 m^2")
+    assert seen.endswith("it is never seen and gives no light")
+    assert "the scene has no light" in light
+
+
 def test_flat_triangles_are_counted_and_moving_ones_are_not() -> None:
     mesh = _triangle([1, 0, 0])
     mesh["indices"] = [[0, 1, 2], [0, 0, 1], [2, 2, 2]]

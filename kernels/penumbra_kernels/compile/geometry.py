@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from penumbra_scene.area import emits
 from penumbra_scene.scene import Scene
 from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Sphere
 
@@ -45,7 +46,6 @@ from penumbra_kernels.compile.primitives import (
 )
 from penumbra_kernels.compile.transforms import is_animated, is_similarity
 from penumbra_kernels.layout import CONSTANTS, INSTANCE, KEYFRAME, SHAPE
-from penumbra_kernels.reach import emits
 
 Surface = Sphere | Quad | Disc | Mesh
 

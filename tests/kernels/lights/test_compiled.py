@@ -74,6 +74,14 @@ def test_a_single_dark_light_is_still_asked() -> None:
     assert np.array_equal(result.arrays["light_table"]["pmf"], [1])
 
 
+def test_emitters_without_an_area_are_no_lights() -> None:
+    glow = {"emission": {"radiance": 1}}
+    nothing = {"type": "sphere", "radius": 1e-25, **glow}
+    geometry, lights = compiled(scene_of(shapes=[nothing, {"type": "quad", **glow}, nothing]))
+    assert lights.light_count == 1
+    assert np.array_equal(geometry.arrays["shapes"]["light"], [NONE, 0, NONE])
+
+
 def test_no_lights_at_all() -> None:
     _, result = compiled(scene_of(shapes=SHAPES[:1]))
     assert result.light_count == 0
