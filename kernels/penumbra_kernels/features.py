@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from penumbra_scene.area import emits
 from penumbra_scene.errors import pointer
+from penumbra_scene.lights import DirectionalLight
 from penumbra_scene.materials import (
     Conductor,
     Dielectric,
@@ -61,8 +62,9 @@ EFFECTS: Final = (
 )
 """Every effect that a program can do without, by the name of its PENUMBRA_* flag in lower case."""
 
-TREE_LIGHTS: Final = 4
-"""From how many lights on the tree is the better choice where the scene names none (docs/lights.md)."""
+TREE_LAMPS: Final = {(False, False): 2, (False, True): 3, (True, False): 5, (True, True): 1}
+"""By whether there are an environment and directional lights: from how many lights with a place on the tree is the better
+choice where the scene names none (docs/lights.md). A sky alone is sampled well without it."""
 
 
 @dataclass(frozen=True)
@@ -242,7 +244,10 @@ def light_selection(scene: Scene) -> str:
     said = scene.integrator.light_selection
     if said != "auto":
         return said
-    return "tree" if _light_count(scene) >= TREE_LIGHTS else "power"
+    sky = lit_environment(scene) is not None
+    suns = sum(isinstance(light, DirectionalLight) for _, light in _shining(scene))
+    lamps = _light_count(scene) - sky - suns
+    return "tree" if lamps >= TREE_LAMPS[sky, suns > 0] else "power"
 
 
 def _light_tree(frame: Frame) -> Iterable[Use]:

@@ -20,6 +20,7 @@ BASE: dict[str, Any] = {
 LIT: dict[str, Any] = {"lights": [{"type": "point"}]}
 """Light to be carried on: without any there is none."""
 DARK = {"type": "point", "intensity": 0}
+SKY: dict[str, Any] = {"environment": {"type": "constant"}}
 GLOW: dict[str, Any] = {"emission": {"radiance": 1}}
 SHUTTER = {"open": 0.0, "close": 1.0}
 MOVE = {"keyframes": [{"time": 0, "transform": []}, {"time": 1, "transform": [{"translate": [1, 0, 0]}]}]}
@@ -98,10 +99,22 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ),
     ("an area light", {"shapes": [{"type": "quad", "emission": {"radiance": 1}}]}, {"area_lights"}),
     ("a point light", {"lights": [{"type": "point"}]}, {"delta_lights"}),
-    ("two lights", {"lights": [{"type": "point"}, {"type": "spot"}]}, {"delta_lights", "many_lights"}),
     (
-        "two lights and a tree",
-        {"lights": [{"type": "point"}] * 2, "integrator": {"max_bounces": 0, "light_selection": "tree"}},
+        "two lights",
+        {"lights": [{"type": "point"}, {"type": "spot"}]},
+        {"delta_lights", "many_lights", "light_tree"},
+    ),
+    (
+        "two suns",
+        {"lights": [{"type": "directional"}] * 2},
+        {"delta_lights", "many_lights"},
+    ),
+    (
+        "two suns and a tree",
+        {
+            "lights": [{"type": "directional"}] * 2,
+            "integrator": {"max_bounces": 0, "light_selection": "tree"},
+        },
         {"delta_lights", "many_lights", "light_tree"},
     ),
     (
@@ -109,8 +122,41 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
         {"lights": [{"type": "point"}], "integrator": {"max_bounces": 0, "light_selection": "tree"}},
         {"delta_lights"},
     ),
-    ("three lights", {"lights": [{"type": "point"}] * 3}, {"delta_lights", "many_lights"}),
-    ("four lights", {"lights": [{"type": "point"}] * 4}, {"delta_lights", "many_lights", "light_tree"}),
+    (
+        "three lights beside a sun",
+        {"lights": [*[{"type": "point"}] * 3, {"type": "directional"}]},
+        {"delta_lights", "many_lights", "light_tree"},
+    ),
+    (
+        "four lights under a sky",
+        {"lights": [{"type": "point"}] * 4, **SKY},
+        {"delta_lights", "many_lights", "environment"},
+    ),
+    (
+        "five lights under a sky",
+        {"lights": [{"type": "point"}] * 5, **SKY},
+        {"delta_lights", "many_lights", "environment", "light_tree"},
+    ),
+    (
+        "two lights beside a sun",
+        {"lights": [{"type": "point"}, {"type": "spot"}, {"type": "directional"}]},
+        {"delta_lights", "many_lights"},
+    ),
+    (
+        "a sun and a sky",
+        {"lights": [{"type": "directional"}], **SKY},
+        {"delta_lights", "many_lights", "environment"},
+    ),
+    (
+        "a light beside a sun and a sky",
+        {"lights": [{"type": "point"}, {"type": "directional"}], **SKY},
+        {"delta_lights", "many_lights", "environment", "light_tree"},
+    ),
+    (
+        "a sky that gives no light is none",
+        {"lights": [{"type": "point"}] * 3, "environment": {"type": "constant", "radiance": 0}},
+        {"delta_lights", "many_lights", "light_tree"},
+    ),
     (
         "four lights by power",
         {"lights": [{"type": "point"}] * 4, "integrator": {"max_bounces": 0, "light_selection": "power"}},
