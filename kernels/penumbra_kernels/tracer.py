@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LAUNCH_SECONDS: Final = 0.05
 """Display drivers kill longer launches; CPUs have none, and each launch waits for its slowest core."""
-GROUP_SAMPLES: Final = 64
+GROUP_SAMPLES: Final = 256
 """About as many samples a work-item of a CPU takes, over one or more (pixel, replicate) pairs: small groups spread evenly."""
 MAX_GROUPS: Final = 32768
 """PoCL compiles a kernel once more for grids of 65,535 and up, and once more for global offsets: neither is used."""

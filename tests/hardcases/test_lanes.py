@@ -17,6 +17,7 @@ from penumbra_service.images.assets import FolderAssets
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.json"))
 SIDE = 24
 TILE = Tile(3, 5, 19, 13)
+NODES = ((0, 1, TILE), (2, 2, TILE), (4, 4, TILE), (8, 8, TILE), (32, 32, TILE), (256, 256, Tile(9, 7, 2, 2)))
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +29,13 @@ def devices(device: Device) -> tuple[Device, Device]:
 def _assert_alike(
     document: dict[str, Any], devices: tuple[Device, Device], assets: FolderAssets, program: str
 ) -> None:
-    """With 1, 2, 4 ... samples a pixel, which share lanes with their neighbours', and with more than there are lanes."""
+    """With 1, 2, 4 ... samples a pixel, which share lanes with their neighbours', with more than there are lanes, and with more
+    than a batch takes."""
     document["film"] = {"width": SIDE, "height": SIDE}
     compiled = compile_scene(scene_from_json(document, allow_files=True), assets)
     own, alone = (Tracer(device, compiled, SamplePlan(3, 64), program=program) for device in devices)
-    for first, count in ((0, 1), (2, 2), (4, 4), (8, 8), (32, 32)):
-        sixteen, one = own.trace(TILE, first, count).sums, alone.trace(TILE, first, count).sums
+    for first, count, tile in NODES:
+        sixteen, one = own.trace(tile, first, count).sums, alone.trace(tile, first, count).sums
         assert sixteen.tobytes() == one.tobytes()
     assert sixteen["rays"].sum() > 0
 

@@ -78,11 +78,12 @@ def test_the_generic_program_gives_the_specialised_ones_bits(device: Device, kep
     assert nodes[0].sums.tobytes() == nodes[1].sums.tobytes()
 
 
+@pytest.mark.parametrize("count", [32, 256])
 @pytest.mark.parametrize("kept", [0, 4])
-def test_pixels_take_as_many_samples_as_their_level_says(device: Device, kept: int) -> None:
+def test_pixels_take_as_many_samples_as_their_level_says(device: Device, kept: int, count: int) -> None:
     levels = some_levels(kept)
-    sums = Tracer(device, scene(), SamplePlan(2)).trace(WHOLE, 0, 32, Allotment(levels, kept, 32)).sums
-    expected = np.vectorize(lambda level: own_samples(32, level, kept))(levels)
+    sums = Tracer(device, scene(), SamplePlan(2)).trace(WHOLE, 0, count, Allotment(levels, kept, count)).sums
+    expected = np.vectorize(lambda level: own_samples(count, int(level), kept))(levels)
     assert (sums["taken"] + sums["rejected"] == expected).all()
 
 

@@ -1,26 +1,24 @@
-// Items, sixteen paths at once: an item's next sixteen samples, or, where a node has fewer of it, those of consecutive items together.
-// Each lane gives the bits that item.cl gives its sample.
+// Items in batches of paths: an item's next samples, or, where a node has fewer of it, those of consecutive items together. Each lane
+// gives the bits that item.cl gives its sample.
 #include "integrators/item.cl"
-#include "integrators/paths16.cl"
+#include "integrators/batch16.cl"
 #include "camera/camera16.cl"
 
-// A lane's pixel, in pixels of the full frame.
-static inline Point16 lane_pixels(const Item *items, const Sampler16 *samples) {
+#define MAX_ITEMS 64u  // of a batch
+
+// The pixels of LANES samples, in pixels of the full frame. of: each sample's item.
+static inline Point16 lane_pixels(const Item *items, const uchar *of) {
   Point16 at;
-  at.x = (float)items->x;
-  at.y = (float)items->y;
-  if (samples->one) return at;
   for (uint k = 0u; k < LANES; k++) {
-    LANE_F(at.x, k) = (float)items[samples->of[k]].x;
-    LANE_F(at.y, k) = (float)items[samples->of[k]].y;
+    LANE_F(at.x, k) = (float)items[of[k]].x;
+    LANE_F(at.y, k) = (float)items[of[k]].y;
   }
   return at;
 }
 
-static inline Ray16 start_rays16(const Launch *launch, const Item *items, const Sampler16 *samples, const Mask16 on,
-                                 float16 *weight) {
+static inline Ray16 start_rays16(const Launch *launch, const Point16 at, const Sampler16 *samples, const Mask16 on, float16 *weight) {
   const __global Params *params = launch->params;
-  const Point16 u = sample_2d16(samples, DIM_PIXEL, on), at = lane_pixels(items, samples);
+  const Point16 u = sample_2d16(samples, DIM_PIXEL, on);
   float16 offset_x, offset_y;
   filter_sample16(launch->filter_table, params->filter_radius, u.x, u.y, on, &offset_x, &offset_y, weight);
   const float16 film_x = (at.x + 0.5f + offset_x) / (float)params->film_width;
@@ -44,7 +42,7 @@ typedef struct {
   uint valid, lit;  // a bit a lane
 } Values16;
 
-static inline Values16 values16(const Paths16 *p, const float16 weight) {
+static inline Values16 values16(const PathSamples16 *p, const float16 weight) {
   const float16 r = p->radiance.x, g = p->radiance.y, b = p->radiance.z, zero = 0.0f;
   const Mask16 valid = is_finite16(r) & is_finite16(g) & is_finite16(b) & (r >= 0.0f) & (g >= 0.0f) & (b >= 0.0f);
   Values16 out;
@@ -67,7 +65,7 @@ static inline float tree_sum16(const float16 v, const bool thinned) {
 }
 
 // Counts what the lanes of `bits` brought.
-static inline void count16(const Paths16 *p, const Values16 *values, const uint bits, Gather *gather) {
+static inline void count16(const PathSamples16 *p, const Values16 *values, const uint bits, Gather *gather) {
   gather->taken += POPCOUNT(values->valid & bits);
   gather->lit += POPCOUNT(values->lit & bits);
   for (uint left = bits; left; left &= left - 1u) gather->rays += LANE_U(p->rays, CTZ(left));
@@ -78,7 +76,7 @@ static inline void count16(const Paths16 *p, const Values16 *values, const uint 
 }
 
 // Sixteen samples of one item, from number i of its share on, which is a multiple of that.
-static inline void gather_one(const Paths16 *p, const float16 weight, const uint i, const bool thinned, Gather *gather) {
+static inline void gather_one(const PathSamples16 *p, const float16 weight, const uint i, const bool thinned, Gather *gather) {
   const Values16 v = values16(p, weight);
   count16(p, &v, 0xffffu, gather);
   tree_add_from(gather->levels, LANE_LEVELS, i,
@@ -94,14 +92,15 @@ static inline void gather_one(const Paths16 *p, const float16 weight, const uint
 #endif
 }
 
-// All samples of several items.
-static inline void gather_each(const Paths16 *p, const float16 weight, const uint count, const Item *items, const Sampler16 *samples,
-                               Gather *gathers) {
+// `count` samples of some items, which are number `first` and following of the batch.
+static inline void gather_each(const PathSamples16 *p, const float16 weight, const uint count, const Item *items,
+                               const Samples *samples, const uint first, Gather *gathers) {
   const Values16 v = values16(p, weight);
   for (uint k = 0u; k < count; k++) {
-    const Item *item = items + samples->of[k];
-    Gather *gather = gathers + samples->of[k];
-    const uint i = (uint)(samples->index[k] - item->share.first);
+    const uint of = samples->of[first + k];
+    const Item *item = items + of;
+    Gather *gather = gathers + of;
+    const uint i = (uint)(samples->index[first + k] - item->share.first);
     const float4 value =
         (float4)(LANE_F(v.value[0], k), LANE_F(v.value[1], k), LANE_F(v.value[2], k), LANE_F(v.value[3], k));
     count16(p, &v, 1u << k, gather);
@@ -113,71 +112,90 @@ static inline void gather_each(const Paths16 *p, const float16 weight, const uin
   }
 }
 
-// Items from number `first` on, of those before `end`: one that has LANES samples or more, or as many as have room in the lanes.
-// samples: their lanes, `count` in all, at their first samples.
-static inline uint fill_lanes(const Launch *launch, const uint first, const uint end, Item *items, Sampler *samplers,
-                              Sampler16 *samples, uint *count) {
-  uint n = 0u;
-  *count = 0u;
-  samples->samplers = samplers;
-  for (; n < LANES && first + n < end; n++) {
-    items[n] = item_at(launch, first + n);
-    const uint own = items[n].share.count, taken = MIN(own, LANES);
-    if (n && *count + own > LANES) break;
-    samplers[n] = items[n].sampler;
-    for (uint k = 0u; k < taken; k++) {
-      samples->of[*count + k] = (uchar)n;
-      samples->index[*count + k] = items[n].share.first + k;
-    }
-    *count += taken;
-    if (own >= LANES) {
-      n++;
-      break;
+// All samples of a batch. Items have powers of two of them, so that a vector that is one item's has a branch of its tree, unless items
+// with fewer came before.
+static inline void gather_batch(const Batch16 *batch, const float16 *weight, const uint count, const Item *items, Gather *gathers) {
+  const Samples *samples = &batch->samples;
+  for (uint w = 0u; w * LANES < count; w++) {
+    const uint first = w * LANES, some = MIN(count - first, LANES), of = samples->of[first];
+    const Share share = items[of].share;
+    const uint i = (uint)(samples->index[first] - share.first);
+    if (some == LANES && samples->of[first + LANES - 1u] == of && i % LANES == 0u) {
+      gather_one(batch->results + w, weight[w], i, share.thinned, gathers + of);
+    } else {
+      gather_each(batch->results + w, weight[w], some, items, samples, first, gathers);
     }
   }
-  for (uint k = *count; k < LANES; k++) samples->of[k] = 0u;
+}
+
+// Samples that a batch takes. Large trees want the cache for themselves.
+static inline uint room_of(const __global Params *params) { return params->options & OPTION_TOGETHER ? BATCH : BATCH / 2u; }
+
+// Items from number `first` on, of those before `end`: one that fills a batch, or as many as have room in one. samples: `count` in all,
+// the first of each item.
+static inline uint fill_batch(const Launch *launch, const uint first, const uint end, Item *items, Sampler *samplers, Samples *samples,
+                              uint *count) {
+  const uint room = room_of(launch->params);
+  uint n = 0u;
+  *count = 0u;
+  for (; n < MAX_ITEMS && first + n < end && *count < room; n++) {
+    items[n] = item_at(launch, first + n);
+    const uint own = items[n].share.count;
+    if (n && *count + own > room) break;
+    samplers[n] = items[n].sampler;
+    for (uint k = 0u; k < MIN(own, room); k++) {
+      samples->of[*count] = (uchar)n;
+      samples->index[(*count)++] = items[n].share.first + k;
+    }
+  }
+  for (uint k = *count; k < BATCH; k++) samples->of[k] = 0u;
+  samples->samplers = samplers;
   samples->one = n == 1u;
   return n;
 }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void trace_lanes(const Launch *launch, const Item *items, Sampler16 *samples, const uint count,
-                                                        float16 *weight, Paths16 *paths) {
-  const Mask16 on = lanes_from(0u, count);
-  sampler_start16(on, samples);
-  paths_start16(paths, start_rays16(launch, items, samples, on, weight));
-  trace_paths16(launch->scene, launch->params, samples, on, paths);
+// Traces the first `count` samples of the batch. weight: of each, by their numbers.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void trace_samples(const Launch *launch, const Item *items, const uint count, Batch16 *batch,
+                                                          float16 *weight) {
+  const uint16 lane = as_uint16(LANE_NUMBERS);
+  batch->vectors = (count + LANES - 1u) / LANES;
+  batch->moved = false;
+  for (uint w = 0u; w < batch->vectors; w++) {
+    const uint first = w * LANES;
+    const Point16 at = lane_pixels(items, batch->samples.of + first);
+    batch->paths[w].number = lane + first;
+    hold_paths16(batch, w, count);
+    paths_start16(batch->paths + w, start_rays16(launch, at, batch->samplers + w, batch->on[w], weight + w));
+  }
+  trace_batch16(launch->scene, launch->params, batch);
 }
 
 // All samples of some items from number `first` on, of those before `end`; how many items they were. layers: null where there are
 // none. drawn: DRAWN_COUNT numbers an item (counting draws), else null.
 static PENUMBRA_NOINLINE PENUMBRA_WIDE uint trace_items16(const Launch *launch, const uint first, const uint end,
                                                           __global Layers *layers, __global uint *drawn, __global Sum *sums) {
-  Item items[LANES];
-  Sampler samplers[LANES];
-  Gather gathers[LANES];
-  Sampler16 samples;
-  Paths16 paths;
-  float16 weight;
+  Item items[MAX_ITEMS];
+  Sampler samplers[MAX_ITEMS];
+  Gather gathers[MAX_ITEMS];
+  Batch16 batch;
+  float16 weight[VECTORS];
   uint count;
-  const uint n = fill_lanes(launch, first, end, items, samplers, &samples, &count);
+  const uint n = fill_batch(launch, first, end, items, samplers, &batch.samples, &count);
   for (uint j = 0u; j < n; j++) gather_start(gathers + j);
 #if PENUMBRA_COUNT_DRAWS
-  uint counted[LANES][DRAWN_COUNT];
+  uint counted[MAX_ITEMS][DRAWN_COUNT];
   for (uint j = 0u; j < n; j++) {
     for (uint k = 0u; k < DRAWN_COUNT; k++) counted[j][k] = 0u;
     samplers[j].drawn = counted[j];
   }
 #endif
-  const Share share = items->share;
-  if (n == 1u && share.count >= LANES) {
-    for (uint i = 0u; i < share.count; i += LANES) {
-      for (uint k = 0u; k < LANES; k++) samples.index[k] = share.first + i + k;
-      trace_lanes(launch, items, &samples, LANES, &weight, &paths);
-      gather_one(&paths, weight, i, share.thinned, gathers);
-    }
-  } else if (count) {
-    trace_lanes(launch, items, &samples, count, &weight, &paths);
-    gather_each(&paths, weight, count, items, &samples, gathers);
+  for (uint done = 0u;;) {
+    trace_samples(launch, items, count, &batch, weight);
+    gather_batch(&batch, weight, count, items, gathers);
+    done += count;
+    if (n > 1u || done >= items->share.count) break;
+    for (uint k = 0u; k < count; k++) batch.samples.index[k] += count;
+    count = MIN(count, items->share.count - done);
   }
   for (uint j = 0u; j < n; j++) {
     const uint item = first + j;

@@ -9,7 +9,7 @@
 #include "materials/bsdf16.cl"
 #include "sampling/sampler16.cl"
 
-// PathSample and Path of each lane.
+// PathSample of each lane.
 typedef struct {
   Vec16 radiance;
   float16 alpha;
@@ -19,24 +19,30 @@ typedef struct {
   uint16 object_id;
 #endif
   uint16 effects, rays;
+} PathSamples16;
+
+// Path of each lane.
+typedef struct {
+  PathSamples16 result;
   Ray16 ray;
   Vec16 beta;
   Receiver16 from;
   float16 lobe_pdf;
   Mask16 delta;
-  Vec16 direct;
+  uint16 number;  // of the path's sample in its batch
 } Paths16;
 
+// All but their numbers.
 static inline void paths_start16(Paths16 *p, const Ray16 ray) {
   const Vec16 zero = all16((float3)(0.0f));
-  p->radiance = zero;
-  p->alpha = 0.0f;
+  p->result.radiance = zero;
+  p->result.alpha = 0.0f;
 #if PENUMBRA_LAYERS
-  p->albedo = p->normal = zero;
-  p->depth = 0.0f;
-  p->object_id = 0u;
+  p->result.albedo = p->result.normal = zero;
+  p->result.depth = 0.0f;
+  p->result.object_id = 0u;
 #endif
-  p->effects = p->rays = 0u;
+  p->result.effects = p->result.rays = 0u;
   p->ray = ray;
   p->beta = all16((float3)(1.0f));
   p->from.p = p->from.n = zero;
@@ -44,7 +50,7 @@ static inline void paths_start16(Paths16 *p, const Ray16 ray) {
   p->delta = -1;
 }
 
-static inline PathSample lane_sample(const Paths16 *p, const uint k) {
+static inline PathSample lane_sample(const PathSamples16 *p, const uint k) {
   PathSample s;
   s.radiance = lane3(&p->radiance, k);
   s.alpha = LANE_F(p->alpha, k);
@@ -95,8 +101,8 @@ static inline void leave16(const SceneData *scene, const __global Params *params
     const float16 pdf = environment_pdf16(scene, p->from.n, wi, shared);
     weight = shared ? hit_weight16(params, p->lobe_pdf, pdf, chance) : weight;
   }
-  p->effects |= on ? (uint16)(EFFECT_ENVIRONMENT) : (uint16)(0u);
-  add_where16(on, scale16(mul16(p->beta, environment_radiance16(scene, wi, on)), weight), &p->radiance);
+  p->result.effects |= on ? (uint16)(EFFECT_ENVIRONMENT) : (uint16)(0u);
+  add_where16(on, scale16(mul16(p->beta, environment_radiance16(scene, wi, on)), weight), &p->result.radiance);
 #endif
 }
 
@@ -120,8 +126,8 @@ static inline void meet_lights16(const SceneData *scene, const __global Params *
     const float16 chance = light_chance16(scene, params, &p->from, light, shared);
     weight = shared ? hit_weight16(params, p->lobe_pdf, pdf, chance) : weight;
   }
-  p->effects |= shines ? (uint16)(EFFECT_AREA_LIGHT) : (uint16)(0u);
-  add_where16(shines, scale16(mul16(p->beta, emitted), weight), &p->radiance);
+  p->result.effects |= shines ? (uint16)(EFFECT_AREA_LIGHT) : (uint16)(0u);
+  add_where16(shines, scale16(mul16(p->beta, emitted), weight), &p->result.radiance);
 #endif
 }
 
@@ -129,12 +135,12 @@ static inline void meet_lights16(const SceneData *scene, const __global Params *
 static inline void layers16(const SceneData *scene, const __global Params *params, const Hit16 *hit, const Surface16 *surface,
                             const Bsdf16 *bsdf, const Mask16 on, Paths16 *p) {
   const float3 axis = camera_axis(&params->camera);
-  p->albedo = where16(on, bsdf_albedo16(scene, bsdf, on), p->albedo);
-  p->normal = where16(on, surface->ns, p->normal);
-  p->depth = on ? hit->t * dot16(p->ray.d, all16(axis)) : p->depth;
+  p->result.albedo = where16(on, bsdf_albedo16(scene, bsdf, on), p->result.albedo);
+  p->result.normal = where16(on, surface->ns, p->result.normal);
+  p->result.depth = on ? hit->t * dot16(p->ray.d, all16(axis)) : p->result.depth;
   for (LANES_OF(k, on)) {
     const Surface s = lane_surface(surface, k);
-    LANE_U(p->object_id, k) = object_of(scene, &s);
+    LANE_U(p->result.object_id, k) = object_of(scene, &s);
   }
 }
 #endif
@@ -148,7 +154,7 @@ static inline Mask16 look16(const SceneData *scene, const __global Params *param
   if (bounce > params->max_bounces) return (Mask16)(0);
   bsdf_start16(scene, surface, wo, on, bsdf);
   if (bounce == 0u) {
-    p->alpha = on ? (float16)(1.0f) : p->alpha;
+    p->result.alpha = on ? (float16)(1.0f) : p->result.alpha;
 #if PENUMBRA_LAYERS
     layers16(scene, params, hit, surface, bsdf, on, p);
 #endif
@@ -156,7 +162,6 @@ static inline Mask16 look16(const SceneData *scene, const __global Params *param
   const Vec16 zero = all16((float3)(0.0f));
   p->from.p = surface->p;
   p->from.n = where16(bsdf_transmits16(bsdf), zero, bsdf->n);
-  p->direct = zero;
   return on;
 }
 
@@ -263,29 +268,29 @@ static inline bool alike_to_lights16(const LightRay16 *rays, const uint bounce, 
   return bounce == 0u && !any16(on & (rays->ray.tmax == INF_F) & (rays->effect != EFFECT_DELTA_LIGHT));
 }
 
-// Asks the lights, number n of the samples, and follows the rays to them.
+// Asks the lights, number n of the samples, and follows the rays to them. direct: the sum over the samples.
 static inline void shine16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
-                           const uint n, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p) {
+                           const uint n, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p, Vec16 *direct) {
   const Mask16 smooth = on & bsdf_has_smooth16(bsdf);
   if (!any16(smooth)) return;
   Mask16 use_mis = (params->options & OPTION_NO_MIS) ? (Mask16)(0) : (Mask16)(-1);
   if (bounce >= params->max_bounces) use_mis &= ~lights_alone16(params, bsdf);
   LightRay16 rays;
   rays.ray = p->ray;
-  rays.value = p->direct;
+  rays.value = *direct;
   rays.effect = 0u;
   const Mask16 lit = direct_rays16(scene, params, samples, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, &rays);
   if (!any16(lit)) return;
-  p->rays += lit ? (uint16)(1u) : (uint16)(0u);
+  p->result.rays += lit ? (uint16)(1u) : (uint16)(0u);
   const bool together = together16(params, alike_to_lights16(&rays, bounce, lit));
   const Mask16 arrive = lit & ~occluded16(scene, together, &rays.ray, lit);
-  p->effects |= arrive ? rays.effect : (uint16)(0u);
-  add_where16(arrive, rays.value, &p->direct);
+  p->result.effects |= arrive ? rays.effect : (uint16)(0u);
+  add_where16(arrive, rays.value, direct);
 }
 
-static inline void gather_light16(const __global Params *params, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p) {
+static inline void gather_light16(const __global Params *params, const Bsdf16 *bsdf, const Vec16 direct, const Mask16 on, Paths16 *p) {
   const float16 share = 1.0f / (float)params->shadow_rays;
-  add_where16(on & bsdf_has_smooth16(bsdf), mul16(p->beta, scale16(p->direct, share)), &p->radiance);
+  add_where16(on & bsdf_has_smooth16(bsdf), mul16(p->beta, scale16(direct, share)), &p->result.radiance);
 }
 
 static inline Mask16 roulette16(const __global Params *params, const Sampler16 *samples, const uint bounce, const Mask16 on,
@@ -329,10 +334,10 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
   p->beta = where16(on, mul16(p->beta, weight), p->beta);
   const uint16 sort = p->delta ? (uint16)(EFFECT_GLOSS) : (uint16)(EFFECT_DIFFUSE);
   const uint16 effect = (event & BSDF_EVENT_TRANSMIT) != 0u ? (uint16)(EFFECT_TRANSMISSION) : sort;
-  p->effects |= on ? effect : (uint16)(0u);
+  p->result.effects |= on ? effect : (uint16)(0u);
   const float16 throughput = p->beta.x + p->beta.y + p->beta.z;
   const Mask16 dark = on & !(throughput > 0.0f);
-  p->radiance = where16(dark & (throughput != throughput), p->beta, p->radiance);
+  p->result.radiance = where16(dark & (throughput != throughput), p->beta, p->result.radiance);
   on &= ~dark;
   if (!any16(on)) return on;
   on = roulette16(params, samples, bounce, on, &p->beta);
@@ -343,21 +348,20 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
 #endif
 }
 
-// The lanes of `on`, from their camera rays to their ends.
-static inline void trace_paths16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, Mask16 on,
-                                 Paths16 *p) {
-  const uint lights = direct_count(scene, params);
+// A bounce of the lanes of `on`: those that go on.
+static inline Mask16 bounce16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                              const uint lights, const Mask16 on, Paths16 *p) {
   Hit16 hit;
   Surface16 surface;
   Bsdf16 bsdf;
-  for (uint bounce = 0u; any16(on); bounce++) {
-    p->rays += on ? (uint16)(1u) : (uint16)(0u);
-    const Mask16 found = on & intersect16(scene, together16(params, bounce == 0u), &p->ray, on, &hit);
-    leave16(scene, params, on & ~found, p);
-    if (!any16(found)) return;
-    on = look16(scene, params, bounce, &hit, found, p, &surface, &bsdf);
-    for (uint n = 0u; n < lights && any16(on); n++) shine16(scene, params, samples, bounce, n, &surface, &bsdf, on, p);
-    gather_light16(params, &bsdf, on, p);
-    on = scatter16(scene, params, samples, bounce, &surface, &bsdf, on, p);
-  }
+  p->result.rays += on ? (uint16)(1u) : (uint16)(0u);
+  const Mask16 found = on & intersect16(scene, together16(params, bounce == 0u), &p->ray, on, &hit);
+  leave16(scene, params, on & ~found, p);
+  if (!any16(found)) return found;
+  const Mask16 shaded = look16(scene, params, bounce, &hit, found, p, &surface, &bsdf);
+  if (!any16(shaded)) return shaded;
+  Vec16 direct = all16((float3)(0.0f));
+  for (uint n = 0u; n < lights; n++) shine16(scene, params, samples, bounce, n, &surface, &bsdf, shaded, p, &direct);
+  gather_light16(params, &bsdf, direct, shaded, p);
+  return scatter16(scene, params, samples, bounce, &surface, &bsdf, shaded, p);
 }

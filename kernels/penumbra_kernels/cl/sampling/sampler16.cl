@@ -1,5 +1,5 @@
-// The numbers of sixteen samples, a lane each: what sampler.cl gives them. The lanes hold consecutive samples of one pixel and
-// replicate, or some of each of several, one after the other; lanes that are off draw nothing, and what they get means nothing.
+// The numbers of sixteen samples, a lane each: what sampler.cl gives them. The lanes hold samples of one pixel and replicate, or of
+// several; lanes that are off draw nothing, and what they get means nothing.
 #include "base/lanes16.cl"
 #include "sampling/sampler.cl"
 #include "sampling/hash16.cl"
@@ -10,39 +10,55 @@
   ((PENUMBRA_SAMPLER == SAMPLER_SOBOL || PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT) &&      \
    !PENUMBRA_PICK_FREEZE && !PENUMBRA_COUNT_DRAWS)
 
+// Samples that are traced together, by their numbers among them.
 typedef struct {
   const Sampler *samplers;  // one a pixel and replicate
-  uchar of[LANES];          // which of them is the lane's
-  ulong index[LANES];       // of the lane's sample
-  bool one;                 // all lanes have the first, and consecutive samples
+  uchar of[BATCH];          // which of them is each sample's
+  ulong index[BATCH];       // of each sample
+  bool one;                 // all have the first, and consecutive indices
+} Samples;
+
+typedef struct {
+  const Samples *samples;
+  uint16 number;  // of each lane's sample
 #if PENUMBRA_ROWS
-  ulong16 keys;   // the samplers', a lane each
-  uint16 low;     // of the indices, their low halves
-  ulong high;     // and their high half, where it is the same for all
+  const Sampler *first;  // the first lane's sampler
+  bool one;              // which is that of all lanes
+  ulong16 keys;          // the samplers', a lane each
+  uint16 low;            // of the indices, their low halves
+  ulong high;            // and their high half, where it is the same for all
   bool rows;
 #endif
 } Sampler16;
 
-// The lanes' samplers and indices are known.
-static inline void sampler_start16(const Mask16 on, Sampler16 *s) {
+// number: of the samples of the lanes that are on, which are the first ones.
+static inline void sampler_start16(const Samples *samples, const uint16 number, const Mask16 on, Sampler16 *s) {
+  s->samples = samples;
+  s->number = number;
 #if PENUMBRA_ROWS
-  const ulong first = s->index[0];
-  s->high = first >> 32;
-  s->keys = s->samplers->key;
-  s->low = (uint)first + as_uint16(LANE_NUMBERS);
-  s->rows = (first + LANES - 1ul) >> 32 == s->high;
-  if (s->one) return;
+  const uint start = LANE_U(s->number, 0u);
+  s->first = samples->samplers + samples->of[start];
+  s->one = true;
+  s->high = samples->index[start] >> 32;
+  s->keys = s->first->key;
+  s->low = (uint)samples->index[0] + number;
+  s->rows = (samples->index[0] + BATCH - 1ul) >> 32 == samples->index[0] >> 32;
+  if (samples->one) return;
+  s->rows = true;
   for (LANES_OF(k, on)) {
-    s->rows = s->rows && s->index[k] >> 32 == s->high;
-    LANE_U(s->low, k) = (uint)s->index[k];
-    ((ulong *)&s->keys)[k] = s->samplers[s->of[k]].key;
+    const uint at = LANE_U(s->number, k);
+    s->one = s->one && samples->of[at] == samples->of[start];
+    s->rows = s->rows && samples->index[at] >> 32 == s->high;
+    LANE_U(s->low, k) = (uint)samples->index[at];
+    ((ulong *)&s->keys)[k] = samples->samplers[samples->of[at]].key;
   }
 #endif
 }
 
 static inline Sampler lane_sampler(const Sampler16 *s, const uint k) {
-  Sampler one = s->samplers[s->of[k]];
-  sampler_next(&one, s->index[k]);
+  const uint number = LANE_U(s->number, k);
+  Sampler one = s->samples->samplers[s->samples->of[number]];
+  sampler_next(&one, s->samples->index[number]);
   return one;
 }
 
@@ -52,7 +68,7 @@ static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
   return s->high ? hash_combine16(keys, s->high) : keys;
 }
 
-static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->samplers, dim, s->index[0]); }
+static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->first, dim, s->high << 32); }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
   if (s->one) {

@@ -1,0 +1,74 @@
+// A batch of paths, sixteen to a vector of lanes. Paths end at different bounces: those that go on are packed into as few vectors as
+// hold them, whoever they were with before. Lanes never meet, so that changes no path.
+#include "integrators/paths16.cl"
+
+typedef struct {
+  Samples samples;
+  Paths16 paths[VECTORS];
+  Sampler16 samplers[VECTORS];     // of the paths' samples
+  Mask16 on[VECTORS];
+  uint held[VECTORS];              // a bit a lane that has a path, ended or not
+  uint vectors;                    // in use
+  bool moved;                      // paths are not in their numbers' lanes any more
+  PathSamples16 results[VECTORS];  // by the samples' numbers
+} Batch16;
+
+#define ROWS_OF(type) ((uint)(sizeof(type) / sizeof(float16)))
+
+// Paths that have ended bring what they have. Row by row: compilers would scatter a path's rows, which takes longer.
+static inline void end_paths16(const Paths16 *p, const uint bits, PathSamples16 *results) {
+  const uint *from = (const uint *)&p->result;
+  for (uint row = 0u; row < ROWS_OF(PathSamples16); row++) {
+    for (uint left = bits; left; left &= left - 1u) {
+      const uint k = CTZ(left), number = LANE_U(p->number, k);
+      ((uint *)(results + number / LANES))[row * LANES + number % LANES] = from[row * LANES + k];
+    }
+  }
+}
+
+// The first `count` paths of the batch are on: those of vector w.
+static inline void hold_paths16(Batch16 *batch, const uint w, const uint count) {
+  const Mask16 on = lanes_from(0u, count - w * LANES);
+  batch->on[w] = on;
+  batch->held[w] = mask16(on);
+  sampler_start16(&batch->samples, batch->paths[w].number, on, batch->samplers + w);
+}
+
+static inline uint alive_in16(const Batch16 *batch) {
+  uint alive = 0u;
+  for (uint w = 0u; w < batch->vectors; w++) alive += POPCOUNT(mask16(batch->on[w]));
+  return alive;
+}
+
+// Moves the paths that go on to the front of as few vectors as hold them; those that have ended bring what they have.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void pack_paths16(Batch16 *batch, const uint alive) {
+  const uint packed = (alive + LANES - 1u) / LANES;
+  float16 rows[ROWS_OF(Paths16)][VECTORS + 1u];
+  uint at = 0u;
+  for (uint w = 0u; w < batch->vectors; w++) {
+    const uint bits = mask16(batch->on[w]);
+    const float16 *from = (const float16 *)(batch->paths + w);
+    if (batch->moved) end_paths16(batch->paths + w, batch->held[w] & ~bits, batch->results);
+    else batch->results[w] = batch->paths[w].result;  // of those that go on it will be written over
+    for (uint row = 0u; row < ROWS_OF(Paths16); row++) store_lanes16(from[row], bits, (float *)rows[row] + at);
+    at += POPCOUNT(bits);
+  }
+  for (uint w = 0u; w < packed; w++) {
+    float16 *to = (float16 *)(batch->paths + w);
+    for (uint row = 0u; row < ROWS_OF(Paths16); row++) to[row] = rows[row][w];
+    hold_paths16(batch, w, alive);
+  }
+  batch->vectors = packed;
+  batch->moved = true;
+}
+
+// All paths of a batch, from their camera rays to their ends.
+static inline void trace_batch16(const SceneData *scene, const __global Params *params, Batch16 *batch) {
+  const uint lights = direct_count(scene, params);
+  for (uint bounce = 0u; batch->vectors; bounce++) {
+    for (uint w = 0u; w < batch->vectors; w++)
+      batch->on[w] = bounce16(scene, params, batch->samplers + w, bounce, lights, batch->on[w], batch->paths + w);
+    const uint alive = alive_in16(batch);
+    if (alive + LANES <= batch->vectors * LANES) pack_paths16(batch, alive);
+  }
+}
