@@ -52,7 +52,7 @@ REFERENCE: Final = 2048
 COMPARED: Final = (64, 48)
 SPLIT: Final = (48, 36)
 FORETOLD: Final = (96, 72)
-UPKEEP: Final = (96, 72)
+UPKEEP: Final = ((96, 72), (192, 144))
 PARTS: Final = ("compare", "adaptive", "splitting", "forecasts")
 
 
@@ -138,7 +138,7 @@ def _splitting() -> dict[str, Any]:
     for name in SCENES:
         _say(f"splitting: {name}")
         found[name] = asdict(measure(device, _scene(name, SPLIT), assets))
-    kept = asdict(upkeep(device, _scene("cornell", UPKEEP), assets))
+    kept = {f"{w} x {h}": asdict(upkeep(device, _scene("cornell", (w, h)), assets)) for w, h in UPKEEP}
     return {"splitting": found, "upkeep": kept}
 
 
@@ -282,13 +282,24 @@ def _split_page(splitting: dict[str, Any], kept: dict[str, Any]) -> Iterator[str
     yield from _table(["scene", *(f"{b} x {b}" for b in BLOCKS)], rows)
     yield "The error of a picture is pooled over 16 x 16: larger blocks gain little, and mix light with dark."
     yield ""
-    looking, tracing = 100 * kept["looking"], 100 * (kept["replicates"] - 1)
+    checks = next(iter(kept.values()))["checks"]
     yield (
-        f"Keeping error bars costs, in CPU time on `cornell` at {UPKEEP[0]} x {UPKEEP[1]}: tracing 256 samples in 4 "
-        f"replicates in place of 1, {tracing:+.1f} %; looking at the picture at the {kept['checks']} check points of a job "
-        f"that meets its error there, {looking:.1f} %: {looking + tracing:.1f} % together, and the aim is 3 (a job without "
-        "an error target looks at fewer)."
+        "Keeping error bars costs, in CPU time on `cornell`, over tracing 256 samples in one replicate (a look is what a job "
+        "does with all tiles at a check point: it adds up their sums, takes means, variances and the error, and brings the "
+        "preview up to date; a job without an error target looks less often):"
     )
+    rows = []
+    for size, found in kept.items():
+        tracing, looking = 100 * (found["replicates"] - 1), 100 * found["looking"]
+        rows.append([size, f"{tracing:+.1f} %", f"{looking:.1f} %", f"{tracing + looking:.1f} %"])
+    head = [
+        "picture",
+        "tracing in 4 replicates",
+        f"looks at the {checks} check points of a job that ends there",
+        "together",
+    ]
+    yield from _table(head, rows)
+    yield "The aim is 3 %."
     yield ""
 
 

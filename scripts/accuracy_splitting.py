@@ -18,11 +18,14 @@ from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import SumNode, Tile, merge
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
-from penumbra_service.film.accumulator import TileAccumulator
-from penumbra_service.film.error import EPSILON, ImageError, image_error, summarize
+from penumbra_service.film.error import EPSILON, ImageError, image_error
+from penumbra_service.film.film import Film
+from penumbra_service.film.grid import TileGrid
+from penumbra_service.film.preview import Preview
 from penumbra_service.film.replicates import DEFAULT_REPLICATES
-from penumbra_service.film.statistics import pixel_flags, pixel_statistics
+from penumbra_service.film.statistics import pixel_statistics
 from penumbra_service.film.stop import StopRule
+from penumbra_service.film.tilefile import MemoryTileStore
 from penumbra_service.images.assets import FolderAssets
 from penumbra_service.jobs.batches import Batches
 
@@ -121,29 +124,39 @@ class Upkeep:
 
 
 def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) -> Upkeep:
-    """Interleaved, the least of each."""
-    tile = Tile(0, 0, scene.film.width, scene.film.height)
+    """Interleaved, the least of each. Tiles are those of a job."""
+    window = Tile(0, 0, scene.film.width, scene.film.height)
     compiled = compile_scene(scene, assets)
     ours = DEFAULT_REPLICATES
     tracers = {r: Tracer(device, compiled, SamplePlan(r)) for r in (1, ours)}
     spent: dict[int, list[float]] = {1: [], ours: []}
     looking = []
     half = 128 // ours
-    kept = TileAccumulator(tile, ours)
-    kept.set_barriers((half,))
+    film = Film(TileGrid(window), ours, MemoryTileStore(), "upkeep")
+    film.set_barriers((half,))
+    preview = Preview(window)
     for _ in range(rounds):
         for r, tracer in tracers.items():
             began = time.process_time()
-            nodes = [tracer.trace(tile, first, 128 // r) for first in (0, 128 // r)]
+            nodes = [tracer.trace(tile, at, 128 // r) for at in (0, 128 // r) for tile in film.tiles]
             spent[r].append(time.process_time() - began)
         for node in nodes:
-            kept.add(node)
+            film.add(node)
         began = time.process_time()
-        pixels = pixel_statistics(tile, kept.fold(2 * half)[0])
-        image_error([summarize(pixels, pixel_flags(pixels))])
+        _look(film, 2 * half, preview)
         looking.append(time.process_time() - began)
     checks = check_points(ours)
     return Upkeep(min(spent[ours]) / min(spent[1]), checks * min(looking) / min(spent[ours]), checks)
+
+
+def _look(film: Film, end: int, preview: Preview) -> None:
+    """As engine.canvas does it."""
+    summaries = []
+    for tile in film.tiles:
+        pixels, summary = film.look(tile, end)
+        preview.put(pixels)
+        summaries.append(summary)
+    image_error(summaries)
 
 
 def check_points(replicates: int, samples: int = 256) -> int:

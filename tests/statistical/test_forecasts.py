@@ -18,7 +18,7 @@ from penumbra_service.film.accumulator import TileAccumulator
 from penumbra_service.film.error import image_error, normal_quantile, summarize
 from penumbra_service.film.predict import Point, predict
 from penumbra_service.film.replicates import DEFAULT_REPLICATES
-from penumbra_service.film.statistics import pixel_flags, pixel_statistics
+from penumbra_service.film.statistics import pixel_statistics
 from penumbra_service.film.stop import next_check
 from penumbra_service.images.assets import FolderAssets
 
@@ -65,8 +65,8 @@ class Render:
             self._kept.add(self._tracer.trace(self._tile, first, count))
         self._end = following
         self._kept.set_barriers((following,))
-        pixels = pixel_statistics(self._tile, self._kept.fold(following)[0])
-        error = image_error([summarize(pixels, pixel_flags(pixels))])
+        pixels = pixel_statistics(self._tile, self._kept.fold(following))
+        error = image_error([summarize(pixels)])
         upper = error.relmse * (1 + normal_quantile(0.95) * error.deviation)
         samples = following * REPLICATES
         return Point(samples, float(samples), error.relmse, upper, error.deviation)

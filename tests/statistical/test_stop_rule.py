@@ -13,7 +13,7 @@ from penumbra_kernels.nodes import Tile, aligned_ranges
 from penumbra_service.film.accumulator import TileAccumulator
 from penumbra_service.film.error import ImageError, image_error, summarize
 from penumbra_service.film.replicates import DEFAULT_REPLICATES
-from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel_statistics
+from penumbra_service.film.statistics import PixelStatistics, pixel_statistics
 from penumbra_service.film.stop import StopRule
 
 REPLICATES = DEFAULT_REPLICATES
@@ -44,8 +44,8 @@ def render_until(lab: Any, seed: int, target: float) -> Stopped:
             kept.add(lab.tracer.trace(tile, first, count))
         end = following
         kept.set_barriers((end,))
-        pixels = pixel_statistics(tile, kept.fold(end)[0])
-        error = image_error([summarize(pixels, pixel_flags(pixels))])
+        pixels = pixel_statistics(tile, kept.fold(end))
+        error = image_error([summarize(pixels)])
         if rule.decide(end, 0.0, error):
             return Stopped(end * REPLICATES, pixels, error)
 

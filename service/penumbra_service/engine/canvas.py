@@ -20,7 +20,7 @@ from penumbra_service.film.preview import Preview
 from penumbra_service.film.stop import Reason
 from penumbra_service.jobs.batches import Batches
 from penumbra_service.jobs.planning import WorkItem
-from penumbra_service.jobs.record import PixelCounts, RunRecord
+from penumbra_service.jobs.record import RunRecord
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,8 @@ class Canvas:
         self.preview = Preview(film.grid.window)
         self.changed = False
         """Whether there are nodes that no snapshot holds."""
+        self.taken = self.rejected = 0
+        """Samples that counted at the last check, and that did not."""
         self._summaries: dict[Tile, TileSummary] = {}
         self._looking = self._look_seconds = 0.0
         film.restore(batches.barriers)
@@ -121,7 +123,8 @@ class Canvas:
         upper = error.upper(confidence) if error.known else math.nan
         samples = self.batches.rule.samples_at(end)
         self.record.points.append(point_of(samples, seconds, error, upper))
-        self.record.counts = count_pixels(summaries)
+        self.taken = sum(summary.taken for summary in summaries)
+        self.rejected = sum(summary.rejected for summary in summaries)
         return self.batches.check(seconds, error)
 
     def proceed(self) -> None:
@@ -176,7 +179,7 @@ class Canvas:
         started = time.perf_counter()
         for tile in tiles:
             if tile not in self._summaries and self.film.complete(tile, end):
-                pixels, self._summaries[tile] = self.film.summary(tile, end)
+                pixels, self._summaries[tile] = self.film.look(tile, end)
                 self.preview.put(pixels)
         self._looking += time.perf_counter() - started
 
@@ -194,21 +197,3 @@ class Canvas:
             for tile in self.film.tiles
             for first, count in self.film.ranges(tile)
         )
-
-
-def count_pixels(summaries: list[TileSummary]) -> PixelCounts:
-    """Samples and pixels of a whole picture."""
-    counts = PixelCounts(
-        taken=sum(s.taken for s in summaries),
-        lit=sum(s.lit for s in summaries),
-        rejected=sum(s.rejected for s in summaries),
-        rays=sum(s.rays for s in summaries),
-        pixels=sum(s.all_pixels for s in summaries),
-        flagged=sum(s.untrusted for s in summaries),
-    )
-    for summary in summaries:
-        for name, count in summary.flagged.items():
-            counts.flags[name] = counts.flags.get(name, 0) + count
-        for name, count in summary.rejected_in.items():
-            counts.rejected_in[name] = counts.rejected_in.get(name, 0) + count
-    return counts

@@ -70,6 +70,8 @@ class Course:
         self.reason: str | None = None
         """Why the picture is as it should be; None: it is not yet."""
         self._theta = 1.0
+        self._unsaved = False
+        """Whether batches were begun or looked at that the state on disk does not know."""
         self._full_before: RunRecord | None = None
         """What was known when the disk was full."""
         self._bid()
@@ -144,10 +146,26 @@ class Course:
 
     def save(self) -> None:
         """The state without the sums. It must be on disk before any tile that depends on it."""
+        self._unsaved = False
         self.record.seconds = self.clock.seconds
         batches = self.canvas.batches
         kept = Snapshot(self.stage.key, self._tile_size, batches.checked, batches.open_ends, self.record)
         snapshot.save(self.stage.store, kept)
+
+    def _save_first(self) -> None:
+        """Before a tile is written, and only then: looks and batches of a short job need no file."""
+        if self._unsaved:
+            self.save()
+
+    def settle(self) -> int:
+        """The picture is there: samples a replicate that make it. Raises RunFailedError, OSError."""
+        self.stop()
+        end = self.canvas.settle()
+        try:
+            self.record.counts = self.canvas.film.count(end)
+        except ValueError as broken:  # a tile's file, since the last look
+            raise RunFailedError("storage", f"the picture cannot be put together: {broken}") from broken
+        return end
 
     def stop(self) -> None:
         """No more time passes."""
@@ -164,7 +182,7 @@ class Course:
         """Get to work on the stage: with the batches that were begun, and the tiles that are there. `anew`: it keeps
         nothing of the stage before."""
         stage, task = self.stage, self._task
-        batches = Batches(stage.rule, checked, ends=self.record.ends, uppers=self.record.uppers)
+        batches = Batches(stage.rule, checked, ends=self.record.ends, errors=self.record.errors)
         batches.reopen(open_ends)
         film = Film(
             TileGrid(self._window, self._tile_size),
@@ -173,6 +191,7 @@ class Course:
             stage.key,
             deterministic=self._layout.deterministic,
             memory_limit=task.memory_limit,
+            before_write=self._save_first,
         )
         layers = bool(task.scene.film.layers)
         self.canvas = Canvas(film, batches, self.record, stage.levels, layers=layers)
@@ -224,7 +243,7 @@ class Course:
                 return reason
             self._demand_hope()
             self._foretell()
-            self.save()
+            self._unsaved = True
             self.canvas.proceed()
 
     @property
@@ -237,12 +256,14 @@ class Course:
         """The pilot has decided: the map first, then the state, then work that depends on them."""
         pilot = self.stage
         end = self.canvas.settle()
-        self.canvas.flush()
+        if not pilot.own_numbers:
+            self.canvas.flush()
         self.record.seconds = self.clock.seconds
         self.stage = self._stages.decide(self.canvas.film, self.record, end)
         self.record.strata = self.stage.strata
         checked = 0 if pilot.own_numbers else end
         snapshot.save(self.stage.store, Snapshot(self.stage.key, self._tile_size, checked, (), self.record))
+        self._unsaved = False
         before = self.canvas.preview
         self._set_up(checked, (), anew=pilot.own_numbers)
         self.canvas.preview = before
@@ -251,11 +272,11 @@ class Course:
 
     def _demand_hope(self) -> None:
         """A target alone never ends a render of which no sample counts: its error stays unknown."""
-        rule, counts = self.stage.rule, self.record.counts
+        rule, rejected = self.stage.rule, self.canvas.rejected
         if rule.relative_error is None or rule.samples is not None or rule.seconds is not None:
             return
-        if counts is not None and counts.taken == 0 and counts.rejected >= MIN_CHECK_SAMPLES * counts.pixels:
-            what = f"all {counts.rejected} samples were NaN, infinite or negative"
+        if self.canvas.taken == 0 and rejected >= MIN_CHECK_SAMPLES * self._pixels:
+            what = f"all {rejected} samples were NaN, infinite or negative"
             raise RunFailedError(
                 "scene", f"{what}, so that no error can be estimated: are numbers too large?"
             )
@@ -274,7 +295,7 @@ class Course:
             items = self.canvas.open_next(rate, left)
             if items is None:
                 return
-            self.save()
+            self._unsaved = True
             self._plan(items, more_follows=self.canvas.batches.more_follows(rate, left))
 
     @property

@@ -35,6 +35,7 @@ from penumbra_service.engine.protocol import (
 from penumbra_service.engine.task import RunFailedError
 from penumbra_service.film.accumulator import TileAccumulator
 from penumbra_service.film.allocation import BlockPilot, Saving, pilot_of, saving_of, smoothed, together
+from penumbra_service.film.counts import count_untrusted
 from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.pilot import (
@@ -121,6 +122,8 @@ class PilotRunner:
         """By the end of the round."""
         self._blockwise: dict[int, dict[Tile, BlockPilot]] = {}
         """The same of the blocks that share a level, where the scene's samples are spread by error."""
+        self._untrusted = 0
+        """Pixels of the newest round whose error bar is not to be trusted."""
         self._rates: dict[str, _Rate] = {}
         self._pending = 0
         """Samples that the round lacks."""
@@ -310,13 +313,15 @@ class PilotRunner:
         """Pool what a round has brought."""
         deterministic = self._layout.deterministic
         round_: dict[Tile, TileSummary] = {}
+        untrusted = 0
         for tile in tiles:
-            sums, _ = self._tiles[tile].fold(end)
-            pixels = pixel_statistics(tile, sums, deterministic=deterministic)
-            round_[tile] = summarize(pixels, pixel_flags(pixels, deterministic=deterministic))
+            pixels = pixel_statistics(tile, self._tiles[tile].fold(end), deterministic=deterministic)
+            round_[tile] = summarize(pixels)
+            untrusted += count_untrusted(pixel_flags(pixels, deterministic=deterministic))
             if self._by_error:
                 self._blockwise.setdefault(end, {})[tile] = pilot_of(tile, [pixels])
         self._summaries[end] = round_
+        self._untrusted = untrusted
 
     def _conclude(self) -> None:
         """Points of all rounds over the blocks that were in the last."""
@@ -324,7 +329,7 @@ class PilotRunner:
         result, stop = self._result, self._task.scene.stop
         result.blocks = len(last)
         result.pixels = sum(s.all_pixels for s in last.values())
-        result.flagged_share = sum(s.untrusted for s in last.values()) / result.pixels
+        result.flagged_share = self._untrusted / result.pixels
         taken, rejected = sum(s.taken for s in last.values()), sum(s.rejected for s in last.values())
         result.rejected_share = rejected / max(taken + rejected, 1)
         result.seconds = self._elapsed()

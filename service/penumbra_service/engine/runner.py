@@ -190,8 +190,7 @@ class JobRunner:
     def _finish(self, reason: str) -> RunResult:
         """The picture is there."""
         self._desk.close()
-        self._course.stop()
-        end = self._course.canvas.settle()
+        end = self._course.settle()
         self._replies.step(StopReached())
         self._reporter.tell(self._replies.life.state, self._course, force=True, share=1.0)
         return RunResult(

@@ -22,8 +22,8 @@ from penumbra_kernels.allotment import LEVEL_NONE, own_samples
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.error import EPSILON, block_sums, pool
-from penumbra_service.film.grid import POOL_BLOCK, block_starts
-from penumbra_service.film.levels import LevelMap, block_sizes, spread
+from penumbra_service.film.grid import POOL_BLOCK, block_sizes, block_starts
+from penumbra_service.film.levels import LevelMap, spread
 from penumbra_service.film.predict import THETA_RANGE, Point, predict
 from penumbra_service.film.statistics import PixelStatistics
 from penumbra_service.film.stop import StopRule
@@ -67,7 +67,7 @@ def pilot_of(window: Tile, tiles: Iterable[PixelStatistics]) -> BlockPilot:
     for part in tiles:
         tile = part.tile
         y, x = tile.y // BLOCK - window.y // BLOCK, tile.x // BLOCK - window.x // BLOCK
-        fine = block_sums(part, BLOCK)
+        fine = block_sums(tile, part.mean, part.variance, BLOCK)
         at = np.s_[y : y + fine.pixels.shape[0], x : x + fine.pixels.shape[1]]
         pixels[at], variance[at] = fine.pixels, fine.variance
         weight[at] = _weights(part)
@@ -79,7 +79,7 @@ def pilot_of(window: Tile, tiles: Iterable[PixelStatistics]) -> BlockPilot:
 
 def _weights(part: PixelStatistics) -> NDArray[np.float64]:
     """Each block's 1 / (S + EPSILON), S of the POOL_BLOCK block that it lies in."""
-    pooled = block_sums(part, POOL_BLOCK)
+    pooled = block_sums(part.tile, part.mean, part.variance)
     count = np.maximum(pooled.pixels, 1)
     least = np.square(pooled.mean / count[..., None]).mean(axis=-1)
     weight = 1 / (np.maximum((pooled.square - pooled.variance) / count, least) + EPSILON)
@@ -90,7 +90,7 @@ def _weights(part: PixelStatistics) -> NDArray[np.float64]:
 
 def _parents(first: int, count: int) -> NDArray[np.intp]:
     """For each BLOCK along an edge of a tile, the POOL_BLOCK that it lies in, both counted from the tile's start."""
-    starts = np.array(block_starts(first, count, BLOCK)) + first
+    starts = block_starts(first, count, BLOCK) + first
     return np.asarray(starts // POOL_BLOCK - first // POOL_BLOCK, np.intp)
 
 

@@ -71,15 +71,16 @@ def develop_bands(film: Film, end: int, layers: tuple[str, ...] = ()) -> Iterato
 
 def develop_tile(film: Film, tile: Tile, end: int, layers: tuple[str, ...] = ()) -> Developed:
     """One tile. Raises ValueError where samples of [0, end) are missing."""
-    sums, layer_sums = film.accumulator(tile).fold(end)
-    pixels = pixel_statistics(tile, sums, deterministic=film.deterministic)
+    sums = film.accumulator(tile)
+    pixels = pixel_statistics(tile, sums.fold(end), deterministic=film.deterministic)
     floats = _picture(pixels)
     integers = {
         "SampleCount": pixels.taken.astype(np.uint32),
         "InvalidCount": pixels.rejected.astype(np.uint32),
         "Flags": pixel_flags(pixels, deterministic=film.deterministic),
     }
-    if layer_sums is not None and layers:
+    layer_sums = sums.fold_layers(end) if layers else None
+    if layer_sums is not None:
         floats |= _layers(layer_sums, pixels, layers)
         integers["ID"] = layer_sums["object_id"][0].copy()
     return Developed(tile, floats, integers)

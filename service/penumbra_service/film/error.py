@@ -11,7 +11,6 @@ pooling.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any, Final
@@ -20,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
-from penumbra_service.film import flags
-from penumbra_service.film.grid import POOL_BLOCK, block_starts
+from penumbra_service.film.grid import POOL_BLOCK, block_sizes, block_starts
+from penumbra_service.film.scratch import Empty
 from penumbra_service.film.statistics import PixelStatistics
 
 EPSILON: Final = 0.01
@@ -50,39 +49,52 @@ class BlockSums:
 
 @dataclass(frozen=True)
 class TileSummary:
-    """What the picture's error needs of one tile at one number of samples."""
+    """What a look at the picture's error needs of one tile at one number of samples."""
 
     blocks: BlockSums
     all_pixels: int
-    untrusted: int
-    """Pixels with a bit of flags.UNTRUSTED."""
-    flagged: dict[str, int]
-    """Pixels by name of the flag."""
     taken: int
-    lit: int
+    """Samples that count."""
     rejected: int
-    rejected_in: dict[str, int]
-    """Pixels by name of an effect that their rejected samples had met."""
-    rays: int
-    """Traced by all samples."""
     maximum: float
     """Largest mean of R, G or B."""
 
 
-def block_sums(pixels: PixelStatistics, block: int = POOL_BLOCK) -> BlockSums:
-    """Pool a tile over blocks of this side. Blocks are aligned to the full frame, so they do not depend on the tiles."""
-    known = np.isfinite(pixels.variance[..., 0])
-    red, green, blue = (pixels.mean[..., i] for i in range(3))
-    planes = np.empty((7, *known.shape))
-    planes[0] = known
-    planes[1] = (pixels.variance[..., 0] + pixels.variance[..., 1] + pixels.variance[..., 2]) / 3
-    planes[2] = (np.square(red) + np.square(green) + np.square(blue)) / 3
-    planes[3:6] = red, green, blue
-    np.square(planes[1], out=planes[6])
-    if not known.all():
+def summarize(pixels: PixelStatistics, empty: Empty = np.empty) -> TileSummary:
+    """A tile's share in the picture's error; `empty` makes arrays that are needed on the way."""
+    return TileSummary(
+        blocks=block_sums(pixels.tile, pixels.mean, pixels.variance, empty=empty),
+        all_pixels=pixels.tile.width * pixels.tile.height,
+        taken=int(pixels.sums["taken"].sum(dtype=np.uint64)),
+        rejected=int(pixels.sums["rejected"].sum(dtype=np.uint64)),
+        maximum=float(pixels.mean[..., :3].max(initial=0.0)),
+    )
+
+
+def block_sums(
+    tile: Tile,
+    mean: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    block: int = POOL_BLOCK,
+    *,
+    empty: Empty = np.empty,
+) -> BlockSums:
+    """Pool a tile's pixels (height, width, 3 or more) over blocks of this side. Blocks are aligned to the full frame, so
+    that they do not depend on the tiles."""
+    rgb, v = mean[..., :3].transpose(2, 0, 1), variance[..., :3].transpose(2, 0, 1)
+    known = np.isfinite(v[0])
+    planes = empty((3, *known.shape))
+    v.sum(axis=0, out=planes[0])
+    np.einsum("chw,chw->hw", rgb, rgb, out=planes[1])
+    np.square(planes[0], out=planes[2])
+    if known.all():
+        count = block_sizes(tile, block).astype(np.float64)
+    else:
+        rgb = np.where(known, rgb, 0.0)
         planes[:, ~known] = 0.0
-    pooled = _pool_planes(planes, pixels.tile, block)
-    return BlockSums(pooled[0], pooled[1], pooled[2], np.moveaxis(pooled[3:6], 0, -1), pooled[6])
+        count = pool(known, tile, block)
+    pooled, of_mean = _pool_planes(planes, tile, block), _pool_planes(rgb, tile, block)
+    return BlockSums(count, pooled[0] / 3, pooled[1] / 3, of_mean.transpose(1, 2, 0), pooled[2] / 9)
 
 
 def pool(values: NDArray[Any], tile: Tile, block: int) -> NDArray[np.float64]:
@@ -96,28 +108,6 @@ def _pool_planes(planes: NDArray[np.float64], tile: Tile, block: int) -> NDArray
     rows = np.add.reduceat(planes, block_starts(tile.y, tile.height, block), axis=1)
     result: NDArray[np.float64] = np.add.reduceat(rows, block_starts(tile.x, tile.width, block), axis=2)
     return result
-
-
-def summarize(pixels: PixelStatistics, bits: NDArray[np.uint32]) -> TileSummary:
-    """A tile's share in the picture's error; `bits` as pixel_flags gives them."""
-    return TileSummary(
-        blocks=block_sums(pixels),
-        all_pixels=bits.size,
-        untrusted=int(np.count_nonzero(bits & flags.UNTRUSTED)),
-        flagged=_pixels_with(bits, flags.NAMES),
-        taken=int(pixels.taken.sum()),
-        lit=int(pixels.lit.sum()),
-        rejected=int(pixels.rejected.sum()),
-        rejected_in=_pixels_with(pixels.rejected_in, flags.EFFECTS),
-        rays=int(pixels.rays.sum()),
-        maximum=float(pixels.mean[..., :3].max(initial=0.0)),
-    )
-
-
-def _pixels_with(bits: NDArray[np.uint32], names: Mapping[str, int]) -> dict[str, int]:
-    """How many have each bit. Most have none."""
-    any_of = int(np.bitwise_or.reduce(bits, axis=None))
-    return {name: int(np.count_nonzero(bits & bit)) if any_of & bit else 0 for name, bit in names.items()}
 
 
 @dataclass(frozen=True)

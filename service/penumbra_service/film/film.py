@@ -8,13 +8,17 @@ changed and nothing else.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from typing import Final
 
+import numpy as np
 from penumbra_kernels.nodes import SumNode, Tile, aligned_ranges
 
 from penumbra_service.film.accumulator import TileAccumulator
+from penumbra_service.film.counts import PixelCounts, count_pixels
 from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import TileGrid
+from penumbra_service.film.scratch import Empty, Scratch
 from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel_statistics
 from penumbra_service.film.tilefile import TileStore, decode, encode, tile_name
 
@@ -38,7 +42,9 @@ class Film:
         *,
         deterministic: bool = False,
         memory_limit: int = MEMORY_LIMIT,
+        before_write: Callable[[], None] = lambda: None,
     ) -> None:
+        """before_write: called before a tile is written, to write first what a reader of tiles must know."""
         self.grid = grid
         self.replicates = replicates
         self.deterministic = deterministic
@@ -46,6 +52,7 @@ class Film:
         self._store = store
         self._key = key
         self._memory_limit = memory_limit
+        self._before_write = before_write
         self._tiles = list(grid)
         self._known = frozenset(self._tiles)
         self._resident: OrderedDict[Tile, TileAccumulator] = OrderedDict()
@@ -54,6 +61,7 @@ class Film:
         self._ranges: dict[Tile, list[tuple[int, int]]] = {}
         self._lost: dict[Tile, str] = {}
         """And why."""
+        self._scratch = Scratch()
 
     @property
     def tiles(self) -> list[Tile]:
@@ -121,14 +129,21 @@ class Film:
 
     def pixels(self, tile: Tile, end: int) -> PixelStatistics:
         """Statistics of samples [0, end). Raises ValueError where some are missing."""
-        sums, _ = self._acquire(tile).fold(end)
-        self._evict(tile)
-        return pixel_statistics(tile, sums, deterministic=self.deterministic)
+        return self._pixels(tile, end, np.empty)
 
-    def summary(self, tile: Tile, end: int) -> tuple[PixelStatistics, TileSummary]:
-        """Statistics of samples [0, end), and the tile's share in the picture's error."""
-        pixels = self.pixels(tile, end)
-        return pixels, summarize(pixels, pixel_flags(pixels, deterministic=self.deterministic))
+    def look(self, tile: Tile, end: int) -> tuple[PixelStatistics, TileSummary]:
+        """Statistics of samples [0, end), which the next look makes void, and the tile's share in the picture's error."""
+        self._scratch.reset()
+        pixels = self._pixels(tile, end, self._scratch.empty)
+        return pixels, summarize(pixels, self._scratch.empty)
+
+    def count(self, end: int) -> PixelCounts:
+        """What became of samples [0, end) of all tiles, and which flags their pixels have."""
+        total = PixelCounts()
+        for tile in self._tiles:
+            pixels = self.pixels(tile, end)
+            total.add(count_pixels(pixels, pixel_flags(pixels, deterministic=self.deterministic)))
+        return total
 
     def accumulator(self, tile: Tile) -> TileAccumulator:
         """A tile's nodes, for reading."""
@@ -158,6 +173,11 @@ class Film:
         for tile in dirty:
             self._write(self._resident[tile])
         return len(dirty)
+
+    def _pixels(self, tile: Tile, end: int, empty: Empty) -> PixelStatistics:
+        sums = self._acquire(tile).fold(end, empty)
+        self._evict(tile)
+        return pixel_statistics(tile, sums, deterministic=self.deterministic, empty=empty)
 
     def _acquire(self, tile: Tile) -> TileAccumulator:
         if tile not in self._known:
@@ -208,5 +228,6 @@ class Film:
             self._bytes -= accumulator.nbytes
 
     def _write(self, accumulator: TileAccumulator) -> None:
+        self._before_write()
         self._store.write(tile_name(accumulator.tile), encode(accumulator, self._key))
         self._dirty.discard(accumulator.tile)

@@ -10,8 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
 FLAG_BLOCK: Final = 8
@@ -73,6 +76,28 @@ def _clip(cell: int, size: int, first: int, count: int) -> tuple[int, int]:
     return low, min((cell + 1) * size, first + count) - low
 
 
-def block_starts(first: int, count: int, block: int) -> list[int]:
-    """Offsets from `first` at which blocks aligned to the full frame begin; the first is 0."""
-    return [0, *range(block - first % block, count, block)]
+def block_starts(first: int, count: int, block: int) -> NDArray[np.intp]:
+    """Offsets from `first` at which blocks aligned to the full frame begin; the first is 0. Not to be written to."""
+    return _starts(first % block, count, block)
+
+
+def block_lengths(first: int, count: int, block: int) -> NDArray[np.intp]:
+    """Pixels of each of these blocks: less where the ends cut them. Not to be written to."""
+    return _lengths(first % block, count, block)
+
+
+def block_sizes(tile: Tile, block: int) -> NDArray[np.intp]:
+    """Pixels of each block of a tile, rows x columns."""
+    rows, columns = block_lengths(tile.y, tile.height, block), block_lengths(tile.x, tile.width, block)
+    return np.asarray(np.multiply.outer(rows, columns))
+
+
+@lru_cache(maxsize=1024)
+def _starts(beyond: int, count: int, block: int) -> NDArray[np.intp]:
+    """`beyond`: pixels of the first block that lie before."""
+    return np.array([0, *range(block - beyond, count, block)], np.intp)
+
+
+@lru_cache(maxsize=1024)
+def _lengths(beyond: int, count: int, block: int) -> NDArray[np.intp]:
+    return np.diff(_starts(beyond, count, block), append=count)

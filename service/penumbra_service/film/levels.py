@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from penumbra_kernels.allotment import LEVEL_NONE, Allotment, own_samples
 from penumbra_kernels.nodes import Tile
 
-from penumbra_service.film.grid import block_starts
+from penumbra_service.film.grid import block_lengths
 
 NAME: Final = "levels.map"
 MAGIC: Final = b"PENULEV2"
@@ -112,20 +112,10 @@ class LevelMap:
 
 def spread(values: NDArray[np.uint8], window: Tile, block: int) -> NDArray[np.uint8]:
     """(height, width) of a window, from a value for each block of this side, aligned to the full frame."""
-    rows, columns = _sides(window, block)
+    rows = block_lengths(window.y, window.height, block)
+    columns = block_lengths(window.x, window.width, block)
     result: NDArray[np.uint8] = np.repeat(np.repeat(values, rows, axis=0), columns, axis=1)
     return result
-
-
-def block_sizes(window: Tile, block: int) -> NDArray[np.int64]:
-    """Pixels of each block, rows x columns: fewer where the window's edges cut it."""
-    return np.asarray(np.multiply.outer(*_sides(window, block)), np.int64)
-
-
-def _sides(window: Tile, block: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Heights of the rows of blocks, and widths of the columns."""
-    rows = np.diff([*block_starts(window.y, window.height, block), window.height])
-    return rows, np.diff([*block_starts(window.x, window.width, block), window.width])
 
 
 def _histogram(levels: NDArray[np.uint8]) -> dict[int, int]:

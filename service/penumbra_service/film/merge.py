@@ -7,16 +7,17 @@ The weights come from sample counts, never from the values or the variances: tho
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final
+from collections.abc import Iterable, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from penumbra_service.film import flags
+from penumbra_service.film.counts import count_untrusted
 from penumbra_service.film.develop import LAYER_CHANNELS, RGBA, Developed
 from penumbra_service.film.error import ImageError, TileSummary, block_sums, image_error
-from penumbra_service.film.statistics import LARGEST, PixelStatistics
+from penumbra_service.film.statistics import LARGEST
 
 _MOST: Final = int(np.iinfo(np.uint32).max)
 _OF_VARIANCE: Final = flags.NO_VARIANCE | flags.DETERMINISTIC
@@ -101,47 +102,26 @@ def picture_error(bands: Iterable[Developed]) -> tuple[ImageError, float]:
 
     Bands must consist of whole rows of grid.POOL_BLOCK, but for the window's own edges.
     """
-    summaries = list(_summaries(bands))
+    summaries, untrusted = [], 0
+    for band in bands:
+        summaries.append(_summary(band))
+        untrusted += count_untrusted(band.integers["Flags"])
     pixels = sum(summary.all_pixels for summary in summaries)
-    untrusted = sum(summary.untrusted for summary in summaries)
     return image_error(summaries), untrusted / pixels if pixels else 0.0
 
 
-def _summaries(bands: Iterable[Developed]) -> Iterator[TileSummary]:
-    for band in bands:
-        pixels = _statistics(band)
-        bits = band.integers["Flags"]
-        yield TileSummary(
-            blocks=block_sums(pixels),
-            all_pixels=bits.size,
-            untrusted=int(np.count_nonzero(bits & flags.UNTRUSTED)),
-            flagged={},
-            taken=int(pixels.taken.sum()),
-            lit=0,
-            rejected=int(pixels.rejected.sum()),
-            rejected_in={},
-            rays=0,
-            maximum=float(pixels.mean[..., :3].max(initial=0.0)),
-        )
-
-
-def _statistics(band: Developed) -> PixelStatistics:
-    """As far as a developed picture tells; what it does not is 0."""
-
-    def stacked(names: Iterable[str]) -> NDArray[Any]:
-        return np.stack([band.floats[name] for name in names], axis=-1).astype(np.float64)
-
-    nothing = np.zeros((band.tile.height, band.tile.width), np.uint64)
-    return PixelStatistics(
-        band.tile,
-        mean=stacked(RGBA),
-        variance=stacked(f"Variance.{c}" for c in RGBA),
-        replicates=nothing.astype(np.int64),
-        taken=band.integers["SampleCount"].astype(np.uint64),
-        lit=nothing,
-        rejected=band.integers["InvalidCount"].astype(np.uint64),
-        rejected_in=nothing.astype(np.uint32),
-        rays=nothing,
-        largest_share=nothing.astype(np.float64),
-        calm=nothing.astype(np.bool_),
+def _summary(band: Developed) -> TileSummary:
+    mean = _stacked(band, RGBA)
+    counts = {name: int(band.integers[name].sum(dtype=np.uint64)) for name in ("SampleCount", "InvalidCount")}
+    return TileSummary(
+        blocks=block_sums(band.tile, mean, _stacked(band, [f"Variance.{c}" for c in RGBA])),
+        all_pixels=band.tile.width * band.tile.height,
+        taken=counts["SampleCount"],
+        rejected=counts["InvalidCount"],
+        maximum=float(mean[..., :3].max(initial=0.0)),
     )
+
+
+def _stacked(band: Developed, names: Iterable[str]) -> NDArray[np.float64]:
+    """(height, width, channels)."""
+    return np.stack([band.floats[name] for name in names], axis=-1).astype(np.float64)

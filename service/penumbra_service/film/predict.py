@@ -141,6 +141,14 @@ def error_at(
     return math.sqrt(last.relmse * grown**-fit.theta), math.sqrt(min(ends)), math.sqrt(max(ends))
 
 
+def earliest(samples: float, relmse: float, target: float) -> float:
+    """Samples a pixel at which a relative error of `target` is met at the soonest, after `samples` that have shown `relmse`:
+    by the steepest fall that paths have. What a stop rule compares has an allowance on top of relmse, which stands here for
+    what a look errs by."""
+    ratio = relmse / target**2
+    return samples * ratio ** (1 / THETA_RANGE[1]) if ratio > 0 and math.isfinite(ratio) else 0.0
+
+
 def upper_at(points: Sequence[Point], samples: float) -> float | None:
     """What a stop rule will compare after `samples` a pixel, if relmse and its allowance fall on as they did; None where
     nothing is known yet."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
-from penumbra_service.film.grid import POOL_BLOCK, block_starts
+from penumbra_service.film.grid import POOL_BLOCK, block_sizes, block_starts
 from penumbra_service.film.statistics import LARGEST, PixelStatistics
 
 MAX_SIDE: Final = 1024
@@ -43,8 +43,8 @@ class Preview:
             self.scale *= 2
         columns = len(block_starts(window.x, window.width, self.scale))
         rows = len(block_starts(window.y, window.height, self.scale))
-        self._rgba = np.zeros((rows, columns, 4), np.float32)
-        self._variance = np.full((rows, columns, 3), np.nan, np.float32)
+        self._rgba = np.zeros((4, rows, columns), np.float32)  # planes, as statistics come
+        self._variance = np.full((3, rows, columns), np.nan, np.float32)
         self.changed = False
 
     def put(self, pixels: PixelStatistics) -> None:
@@ -53,27 +53,26 @@ class Preview:
         x = tile.x // self.scale - self.window.x // self.scale
         y = tile.y // self.scale - self.window.y // self.scale
         self.changed = True
-        if self.scale == 1:
-            at = np.s_[y : y + tile.height, x : x + tile.width]
-            self._rgba[at] = pixels.mean
-            self._variance[at] = np.minimum(pixels.variance[..., :3], LARGEST)
-            return
-        count = self._pool(np.ones((*pixels.taken.shape, 1)), tile)
-        at = np.s_[y : y + count.shape[0], x : x + count.shape[1]]
-        self._rgba[at] = self._pool(pixels.mean, tile) / count
-        # Pixels are independent, so the variance of their average is the sum of theirs over the square of
-        # their number.
-        variance = self._pool(pixels.variance[..., :3], tile) / count**2
+        mean, variance = pixels.mean.transpose(2, 0, 1), pixels.variance[..., :3].transpose(2, 0, 1)
+        if self.scale > 1:
+            count = block_sizes(tile, self.scale)
+            mean = self._pool(mean, tile) / count
+            # Pixels are independent, so the variance of their average is the sum of theirs over the square of
+            # their number.
+            variance = self._pool(variance, tile) / count**2
+        at = np.s_[:, y : y + mean.shape[1], x : x + mean.shape[2]]
+        self._rgba[at] = mean
         self._variance[at] = np.minimum(variance, LARGEST)
 
     def image(self) -> PreviewImage:
         """The picture as it stands; clears `changed`."""
         self.changed = False
-        return PreviewImage(self._rgba.copy(), self._variance.copy(), self.scale)
+        rgba, variance = (np.moveaxis(planes, 0, -1).copy("C") for planes in (self._rgba, self._variance))
+        return PreviewImage(rgba, variance, self.scale)
 
-    def _pool(self, values: NDArray[Any], tile: Tile) -> NDArray[np.float64]:
-        rows = np.add.reduceat(values, block_starts(tile.y, tile.height, self.scale), axis=0)
+    def _pool(self, planes: NDArray[Any], tile: Tile) -> NDArray[np.float64]:
+        rows = np.add.reduceat(planes, block_starts(tile.y, tile.height, self.scale), axis=1)
         result: NDArray[np.float64] = np.add.reduceat(
-            rows, block_starts(tile.x, tile.width, self.scale), axis=1
+            rows, block_starts(tile.x, tile.width, self.scale), axis=2
         )
         return result

@@ -13,6 +13,7 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film import flags
-from penumbra_service.film.grid import FLAG_BLOCK, block_starts
+from penumbra_service.film.grid import FLAG_BLOCK, block_lengths, block_starts
+from penumbra_service.film.scratch import Empty
 from penumbra_service.film.student import quantile
 
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
@@ -39,97 +41,129 @@ LARGEST: Final = float(np.finfo(np.float32).max)
 """What stands for a mean whose float32 sum has overflowed."""
 
 
+Sums = NDArray[Any] | Mapping[str, NDArray[Any]]
+"""(replicates, height, width) of SUM or SUM64, or their fields one by one."""
+
+
 @dataclass(frozen=True)
 class PixelStatistics:
-    """Of the pixels of one tile."""
+    """Of the pixels of one tile. What a look at the error has no need of is computed when it is asked for."""
 
     tile: Tile
     mean: NDArray[np.float64]
     """(height, width, 4), R G B A."""
     variance: NDArray[np.float64]
     """(height, width, 4): of the mean, NaN where it is not known."""
-    replicates: NDArray[np.int64]
-    """(height, width): replicates with samples."""
-    taken: NDArray[np.uint64]
-    """(height, width): samples that count, over all replicates."""
-    lit: NDArray[np.uint64]
-    rejected: NDArray[np.uint64]
-    rejected_in: NDArray[np.uint32]
-    rays: NDArray[np.uint64]
-    """(height, width): traced by all samples, rejected ones included."""
-    largest_share: NDArray[np.float64]
-    """(height, width): largest squared deviation of a replicate's luminance over their sum; at most (R - 1) /
-    R."""
-    calm: NDArray[np.bool_]
-    """(height, width): whether the replicates differ by rounding alone."""
+    sums: Sums
+    deviations: NDArray[np.float64]
+    """(replicates, height, width, 4): of the replicates' means from the mean; 0 where a replicate has no sample."""
+
+    @cached_property
+    def replicates(self) -> NDArray[np.int64]:
+        """(height, width): replicates with samples."""
+        return np.asarray((self.sums["taken"] > 0).sum(axis=0), np.int64)
+
+    @cached_property
+    def taken(self) -> NDArray[np.uint64]:
+        """(height, width): samples that count, over all replicates."""
+        return self._total("taken")
+
+    @cached_property
+    def lit(self) -> NDArray[np.uint64]:
+        """(height, width): of these, samples that carried light."""
+        return self._total("lit")
+
+    @cached_property
+    def rejected(self) -> NDArray[np.uint64]:
+        """(height, width): samples that do not count."""
+        return self._total("rejected")
+
+    @cached_property
+    def rejected_in(self) -> NDArray[np.uint32]:
+        """(height, width): bits of the effects that rejected samples had met."""
+        return np.asarray(np.bitwise_or.reduce(self.sums["rejected_in"], axis=0), np.uint32)
+
+    @cached_property
+    def rays(self) -> NDArray[np.uint64]:
+        """(height, width): traced by all samples, rejected ones included."""
+        return self._total("rays")
+
+    @cached_property
+    def largest_share(self) -> NDArray[np.float64]:
+        """(height, width): largest squared deviation of a replicate's luminance over their sum; at most (R - 1) / R."""
+        squares = self._squares
+        total = squares.sum(axis=0)
+        largest = squares.max(axis=0)
+        return np.asarray(np.divide(largest, total, out=np.zeros_like(total), where=total > 0))
+
+    @cached_property
+    def calm(self) -> NDArray[np.bool_]:
+        """(height, width): whether the replicates differ by rounding alone."""
+        largest = np.sqrt(self._squares.max(axis=0))
+        return np.asarray(largest <= ROUNDING * np.abs(_luminance(self.mean)))
+
+    @cached_property
+    def _squares(self) -> NDArray[np.float64]:
+        """(replicates, height, width): of the deviations' luminance."""
+        return np.square(_luminance(self.deviations))
+
+    def _total(self, name: str) -> NDArray[np.uint64]:
+        return np.asarray(self.sums[name].sum(axis=0, dtype=np.uint64))
 
 
-Sums = NDArray[Any] | Mapping[str, NDArray[Any]]
-"""(replicates, height, width) of SUM or SUM64, or their fields one by one."""
-
-
-def pixel_statistics(tile: Tile, sums: Sums, *, deterministic: bool = False) -> PixelStatistics:
-    """Statistics of a tile's sums, which hold all of its samples."""
-    taken = np.ascontiguousarray(sums["taken"])
+def pixel_statistics(
+    tile: Tile, sums: Sums, *, deterministic: bool = False, empty: Empty = np.empty
+) -> PixelStatistics:
+    """Statistics of a tile's sums, which hold all of its samples, in arrays that `empty` makes."""
+    rgba = sums["rgba"].transpose(3, 0, 1, 2)  # planes of channels, as FoldedSums has them
+    taken = sums["taken"]
+    least, most = int(taken.min(initial=0)), int(taken.max(initial=0))
+    complete = least > 0
     there = taken > 0
-    counts = there.sum(axis=0)
-    means = sums["rgba"] / np.maximum(taken, 1).astype(np.float64)[..., None]
-    mean = means.sum(axis=0) / np.maximum(counts, 1)[..., None]
+    counts = len(taken) if complete else there.sum(axis=0)
+    divisor = most if least == most > 0 else np.maximum(taken, 1, out=empty(taken.shape))
+    means = np.divide(rgba, divisor, out=empty(rgba.shape))
+    mean = means.sum(axis=1, out=empty((4, *taken.shape[1:])), initial=0.0)
+    mean /= counts if complete else np.maximum(counts, 1)
     overflowed = _cap(mean)
-    with np.errstate(invalid="ignore"):  # inf - inf; such pixels are settled below
-        deviations = np.subtract(means, mean, out=means)
-    if not there.all():
-        deviations[~there] = 0.0
+    if overflowed is None:
+        deviations = np.subtract(means, mean[:, None], out=means)
+    else:
+        with np.errstate(invalid="ignore"):  # inf - inf; such pixels are settled below
+            deviations = np.subtract(means, mean[:, None], out=means)
+    if not complete:
+        deviations[:, ~there] = 0.0
     if overflowed is not None:
-        deviations[:, overflowed] = 0.0
-    variance = _variance(deviations, counts, deterministic)
+        deviations[:, :, overflowed] = 0.0
+    variance = np.einsum("crhw,crhw->chw", deviations, deviations, out=empty(mean.shape))
+    _divide(variance, counts, deterministic)
     if overflowed is not None:
-        variance[overflowed] = np.nan
-    share, calm = _largest_share(deviations, mean)
-    return PixelStatistics(
-        tile,
-        mean,
-        variance,
-        counts,
-        taken.sum(axis=0, dtype=np.uint64),
-        sums["lit"].sum(axis=0, dtype=np.uint64),
-        sums["rejected"].sum(axis=0, dtype=np.uint64),
-        np.bitwise_or.reduce(sums["rejected_in"], axis=0),
-        sums["rays"].sum(axis=0, dtype=np.uint64),
-        share,
-        calm,
-    )
+        variance[:, overflowed] = np.nan
+    of_pixels = mean.transpose(1, 2, 0), variance.transpose(1, 2, 0)
+    return PixelStatistics(tile, *of_pixels, sums, deviations.transpose(1, 2, 3, 0))
 
 
 def _cap(mean: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Replaces means that are beyond float32, in place; (height, width): which pixels had any, None for none. Samples
-    are finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes, NaN)."""
+    """Replaces means (4, height, width) that are beyond float32, in place; (height, width): which pixels had any, None for
+    none. Samples are finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes,
+    NaN)."""
     if math.isfinite(mean.sum()):
         return None
-    overflowed: NDArray[np.bool_] = ~np.isfinite(mean).all(axis=-1)
-    mean[overflowed] = np.nan_to_num(mean[overflowed], nan=LARGEST, posinf=LARGEST, neginf=-LARGEST)
+    overflowed: NDArray[np.bool_] = ~np.isfinite(mean).all(axis=0)
+    capped = np.nan_to_num(mean[:, overflowed], nan=LARGEST, posinf=LARGEST, neginf=-LARGEST)
+    mean[:, overflowed] = capped
     return overflowed
 
 
-def _variance(deviations: NDArray[Any], counts: NDArray[Any], deterministic: bool) -> NDArray[np.float64]:
-    squares = np.einsum("rhwc,rhwc->hwc", deviations, deviations)
-    most = len(deviations)
-    if most >= 2 and not deterministic and counts.min(initial=most) == most:
-        return np.asarray(squares / (most * (most - 1)))
+def _divide(squares: NDArray[Any], counts: int | NDArray[np.int64], deterministic: bool) -> None:
+    """Makes variances of sums of squares (4, height, width), in place. counts: replicates with samples, one number where
+    all pixels have as many."""
+    if isinstance(counts, int) and counts >= 2 and not deterministic:
+        squares /= counts * (counts - 1)
+        return
+    counts = np.asarray(counts)
     known = (counts >= 2) & (not deterministic)
-    divisor = np.where(known, counts * (counts - 1), 1)[..., None]
-    return np.where(known[..., None], squares / divisor, np.nan)
-
-
-def _largest_share(
-    deviations: NDArray[Any], mean: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    squares = np.square(_luminance(deviations))
-    total = squares.sum(axis=0)
-    largest = squares.max(axis=0)
-    calm = np.sqrt(largest) <= ROUNDING * np.abs(_luminance(mean))
-    share = np.divide(largest, total, out=np.zeros_like(total), where=total > 0)
-    return share, calm
+    squares /= np.where(known, counts * (counts - 1), np.nan)
 
 
 def _luminance(rgba: NDArray[Any]) -> NDArray[np.float64]:
@@ -184,14 +218,10 @@ def _spread(bits: NDArray[np.uint32], tile: Tile) -> NDArray[np.uint32]:
     columns = block_starts(tile.x, tile.width, FLAG_BLOCK)
     bad = (bits & flags.SPREADING) != 0
     blocks = np.logical_or.reduceat(np.logical_or.reduceat(bad, rows, axis=0), columns, axis=1)
-    spread = np.repeat(blocks, _lengths(rows, tile.height), axis=0)
-    spread = np.repeat(spread, _lengths(columns, tile.width), axis=1)
+    spread = np.repeat(blocks, block_lengths(tile.y, tile.height, FLAG_BLOCK), axis=0)
+    spread = np.repeat(spread, block_lengths(tile.x, tile.width, FLAG_BLOCK), axis=1)
     result: NDArray[np.uint32] = bits | np.where(spread, np.uint32(flags.BLOCK), np.uint32(0))
     return result
-
-
-def _lengths(starts: list[int], count: int) -> NDArray[np.int64]:
-    return np.diff([*starts, count])
 
 
 @functools.cache

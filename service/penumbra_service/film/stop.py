@@ -60,15 +60,28 @@ class StopRule:
         """Whether the end is found by looking, so that check points must be close."""
         return self.seconds is not None or self.relative_error is not None
 
-    def next_end(self, end: int, *, far: bool = False) -> int | None:
-        """The check point after `end` samples a replicate (0 to start); None where `end` is the last. `far`: none within
-        this octave could end the render."""
-        following = next_check(end) if self.fine and not (far and end & (end - 1) == 0) else 2 * end
+    def next_end(self, end: int, earliest: float = 0.0) -> int | None:
+        """The check point after `end` samples a replicate (0 to start); None where `end` is the last. `earliest`: samples a
+        pixel before which the error is not met; of the check points that lie before it, only the last is taken, and at
+        least one in an octave."""
+        if self.samples is not None and end >= self.samples:
+            return None
+        following = self._following(end)
+        if self.fine and end > 0:
+            while (after := self._following(following)) <= 2 * end and self.samples_at(after) <= earliest:
+                following = after
+        return following if self.samples is None else min(following, self.samples)
+
+    def _following(self, end: int) -> int:
         if end == 0:
-            following = self.first_end
-        if self.samples is None:
-            return following
-        return min(following, self.samples) if end < self.samples else None
+            return self.first_end
+        if not self.fine:
+            return 2 * end
+        if self.relative_error is None or self.samples_at(end) >= MIN_CHECK_SAMPLES:
+            return next_check(end)
+        while self.samples_at(end) < MIN_CHECK_SAMPLES:  # nothing ends a render before
+            end *= 2
+        return end
 
     def decide(self, end: int, seconds: float, error: ImageError | None) -> Reason | None:
         """Whether a picture of `end` samples a replicate, after `seconds` of tracing, is the last; why."""

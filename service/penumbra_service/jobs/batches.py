@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Final
 
 from penumbra_service.film.error import ImageError
+from penumbra_service.film.predict import earliest
 from penumbra_service.film.stop import Reason, StopRule, last_end_within
 
 MIN_BATCH_SECONDS: Final = 0.5
@@ -21,11 +22,6 @@ MIN_BATCH_SECONDS: Final = 0.5
 LOOK_FACTOR: Final = 10.0
 """And so many times what looking at the last batch took."""
 
-FAR: Final = 8.0
-"""Times the target: a relmse that falls as samples^-1.5, the most that paths do, is still above it two octaves on."""
-COARSE_SAMPLES: Final = 64
-"""A pixel: up to here looks that cannot end the render are left out. They cost as much as later ones, which lie farther
-apart."""
 OVERTIME: Final = 0.05
 """A batch that is done within this share of the time asked for is waited for."""
 
@@ -43,8 +39,8 @@ class Batches:
     """The end of the batch that is worked on beyond it."""
     ends: list[int] = field(default_factory=list)
     """Every end that was checked."""
-    uppers: dict[int, float] = field(default_factory=dict)
-    """relmse with its allowance, as each of them showed it."""
+    errors: dict[int, float] = field(default_factory=dict)
+    """relmse, as each of them showed it."""
     settled: int | None = None
     """Where the rule has ended the render."""
 
@@ -104,7 +100,7 @@ class Batches:
     def _next_end(
         self, start: int, rate: float | None, seconds_left: float | None, look_seconds: float
     ) -> int | None:
-        end = self.rule.next_end(start, far=self._far(start))
+        end = self.rule.next_end(start, self._earliest(start))
         if end is None:
             return None
         if self.rule.relative_error is None and not self.rule.deciding and rate is not None:
@@ -119,20 +115,21 @@ class Batches:
             end = last_end_within(rate, seconds_left, start, end)
         return end
 
-    def _far(self, start: int) -> bool:
-        """Whether no check point short of 2 * start can meet the error, by the look at start / 2. That look is over whenever
+    def _earliest(self, start: int) -> float:
+        """Samples a pixel before which the error cannot be met, by the last look before `start`. That one is over whenever
         this is asked, so that the devices' speed has no part in which check points there are."""
-        target = self.rule.relative_error
-        if target is None or self.rule.samples_at(2 * start) > COARSE_SAMPLES:
-            return False
-        return self.uppers.get(start // 2, 0.0) > FAR * target**2
+        target, known = self.rule.relative_error, [end for end in self.errors if end < start]
+        if target is None or not known:
+            return 0.0
+        last = max(known)
+        return earliest(self.rule.samples_at(last), self.errors[last], target)
 
     def check(self, seconds: float, error: ImageError) -> Reason | None:
         """The current batch is complete in every tile: stop, and why, or go on to the batch ahead."""
         assert self.current is not None
         self.ends.append(self.current)
         if error is not None and error.known:
-            self.uppers[self.current] = error.upper(self.rule.confidence)
+            self.errors[self.current] = error.relmse
         reason = self.rule.decide(self.current, seconds, error)
         if reason is not None:
             self.settled = self.current

@@ -7,6 +7,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from penumbra_service.film.counts import PixelCounts
 from penumbra_service.film.predict import Point
 
 
@@ -83,23 +84,6 @@ class AdaptiveUse:
 
 
 @dataclass
-class PixelCounts:
-    """Samples and pixels by what became of them."""
-
-    taken: int = 0
-    lit: int = 0
-    rejected: int = 0
-    rejected_in: dict[str, int] = field(default_factory=dict)
-    """Pixels by name of an effect that their rejected samples had met."""
-    pixels: int = 0
-    flagged: int = 0
-    flags: dict[str, int] = field(default_factory=dict)
-    """Pixels by name of their flag."""
-    rays: int = 0
-    """Traced by all samples, rejected ones included."""
-
-
-@dataclass
 class RunRecord:
     """A run's own account, over all of its restarts."""
 
@@ -137,6 +121,7 @@ class RunRecord:
     adaptive: AdaptiveUse | None = None
     """None: no adaptive render, or its pilot has not decided yet."""
     counts: PixelCounts | None = None
+    """Of the picture, once it is there."""
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -145,9 +130,9 @@ class RunRecord:
         return sum(use.leases for use in self.devices.values())
 
     @property
-    def uppers(self) -> dict[int, float]:
-        """relmse with its allowance at each of `ends`."""
-        return {end: point.upper for end, point in zip(self.ends, self.points, strict=False)}
+    def errors(self) -> dict[int, float]:
+        """relmse at each of `ends`."""
+        return {end: point.relmse for end, point in zip(self.ends, self.points, strict=False)}
 
     @property
     def bit_class(self) -> str:

@@ -61,4 +61,6 @@ def _bytes(found: SampleMap) -> bytes:
 
 def _starts(window: Tile, block: int) -> tuple[list[int], list[int]]:
     """First row and column of each block, counted from the window's corner."""
-    return block_starts(window.y, window.height, block), block_starts(window.x, window.width, block)
+    edges = ((window.y, window.height), (window.x, window.width))
+    rows, columns = (block_starts(*edge, block).tolist() for edge in edges)
+    return rows, columns

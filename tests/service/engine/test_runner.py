@@ -247,6 +247,13 @@ def test_a_paused_job_goes_on_with_the_same_bits(fake_engine, make_task, referen
     assert result.record.seconds > 0
 
 
+def test_a_short_job_writes_no_state(fake_engine, make_task):  # type: ignore[no-untyped-def]
+    """Its batches and looks would take longer to write down than to do again."""
+    task = make_task(stop={"relative_error": 0.06})
+    assert JobRunner(fake_engine(), task).run().reason is StopReason.RELATIVE_ERROR
+    assert sorted(path.name for path in task.folder.rglob("*") if path.is_file()) == ["scene.json"]
+
+
 def test_a_snapshot_of_another_scene_is_not_used(fake_engine, make_task, reference):  # type: ignore[no-untyped-def]
     engine = fake_engine()
     other = JobRunner(engine, make_task(sampler={"type": "independent", "seed": 9})).run()

@@ -65,7 +65,7 @@ def certified(device: Device, seed: int) -> PixelStatistics:
     end = levels.end_for(SAMPLES)
     for first, count in aligned_ranges(0, end):
         film.add(tracer.trace(WINDOW, first, count, levels.allotment(WINDOW, end)))
-    return pixel_statistics(WINDOW, film.fold(end)[0])
+    return pixel_statistics(WINDOW, film.fold(end))
 
 
 def uniform(device: Device, seed: int) -> PixelStatistics:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from penumbra_kernels.nodes import Tile, aligned_ranges
 from penumbra_service.film.develop import develop, develop_bands, float_channels, integer_channels
+from penumbra_service.film.error import image_error, summarize
 from penumbra_service.film.film import Film
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.tilefile import FolderTileStore, MemoryTileStore, tile_name
@@ -60,11 +61,31 @@ def test_every_channel_is_bit_equal_for_any_tile_size_and_order(samples):  # typ
         film = _film(size)
         _fill(film, made, seed)
         pictures.add(_picture(film))
-        from penumbra_service.film.error import image_error
 
-        errors.add(image_error([film.summary(t, END)[1] for t in film.tiles]))
+        errors.add(image_error([summarize(film.pixels(t, END)) for t in film.tiles]))
     assert len(pictures) == 1
     assert len(errors) == 1
+
+
+def test_looks_are_equal_whatever_was_looked_at_before(samples):  # type: ignore[no-untyped-def]
+    """They share one room for their arrays."""
+    film = _film(32)
+    _fill(film, samples(replicates=4), 0)
+    for tile in (*film.tiles, *reversed(film.tiles)):
+        pixels, summary = film.look(tile, END)
+        alone = film.pixels(tile, END)
+        for name in ("mean", "variance", "taken", "largest_share", "calm"):
+            assert getattr(pixels, name).tobytes() == getattr(alone, name).tobytes()
+        assert image_error([summary]) == image_error([summarize(alone)])
+
+
+def test_what_tiles_depend_on_is_written_before_each_of_them(samples):  # type: ignore[no-untyped-def]
+    store, order = MemoryTileStore(), []
+    film = Film(TileGrid(WINDOW, 32), 4, store, "key", before_write=lambda: order.append(len(store.files)))
+    _fill(film, samples(replicates=4), 0)
+    assert order == []
+    film.flush()
+    assert order == list(range(len(film.tiles)))
 
 
 def test_a_crop_has_the_bits_of_the_full_frame(samples):  # type: ignore[no-untyped-def]

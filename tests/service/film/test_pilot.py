@@ -20,7 +20,7 @@ from penumbra_service.film.pilot import (
     round_ends,
 )
 from penumbra_service.film.predict import Point, error_at, splitting_price
-from penumbra_service.film.statistics import pixel_flags, pixel_statistics
+from penumbra_service.film.statistics import pixel_statistics
 
 WINDOWS = st.builds(Tile, st.integers(0, 100), st.integers(0, 100), st.integers(1, 300), st.integers(1, 300))
 
@@ -83,7 +83,7 @@ def block(variance: float, value: float) -> TileSummary:
     off = math.sqrt(variance) * np.array([-1.0, 1.0])
     sums["rgba"] = 32 * (value + off)[:, None, None, None]
     pixels = pixel_statistics(Tile(0, 0, POOL_BLOCK, POOL_BLOCK), sums)
-    return summarize(pixels, pixel_flags(pixels))
+    return summarize(pixels)
 
 
 def test_a_pilot_estimates_the_error_of_the_whole_picture() -> None:

@@ -9,6 +9,7 @@ import pytest
 from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import Tile
 from penumbra_service.film import flags
+from penumbra_service.film.counts import count_pixels
 from penumbra_service.film.error import EPSILON, image_error, normal_quantile, summarize
 from penumbra_service.film.statistics import (
     interval,
@@ -104,7 +105,7 @@ def test_a_deterministic_sampler_has_no_variance():
     pixels = _stats(_sums(np.ones((1, 8, 8))), deterministic=True)
     assert np.isnan(pixels.variance).all()
     assert (pixel_flags(pixels, deterministic=True) == flags.DETERMINISTIC).all()
-    assert not image_error([summarize(pixels, pixel_flags(pixels, deterministic=True))]).known
+    assert not image_error([summarize(pixels)]).known
 
 
 def test_rejected_samples_are_counted_and_name_their_effects():
@@ -116,8 +117,9 @@ def test_rejected_samples_are_counted_and_name_their_effects():
     assert pixels.rejected[0, 0] == 3
     assert bits & flags.REJECTED
     assert bits >> flags.EFFECT_SHIFT == flags.EFFECTS["gloss"] | flags.EFFECTS["lens"]
-    summary = summarize(pixels, pixel_flags(pixels))
-    assert {name for name, count in summary.rejected_in.items() if count} == {"gloss", "lens"}
+    counts = count_pixels(pixels, pixel_flags(pixels))
+    assert {name for name, count in counts.rejected_in.items() if count} == {"gloss", "lens"}
+    assert (counts.rejected, counts.flagged, counts.flags["rejected"]) == (3, 1, 1)
 
 
 def test_grubbs_threshold_against_the_tables():
@@ -198,7 +200,7 @@ def test_relmse_of_a_known_picture():
     rng = np.random.default_rng(9)
     n, s, sigma = 128, 2.0, 0.5
     pixels = _stats(_sums(s + sigma * rng.standard_normal((R, n, n))))
-    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    error = image_error([summarize(pixels)])
     mse = sigma**2 / R
     assert error.mse == pytest.approx(mse, rel=SIX_SIGMA * math.sqrt(2 / (R - 1)) / n)
     assert error.relmse == pytest.approx(mse / (s * s + EPSILON), rel=0.03)
@@ -214,7 +216,7 @@ def test_relmse_does_not_collapse_where_one_replicate_has_all_the_light():
     n, p, bright = 256, 0.01, 100.0
     values = bright * (rng.random((R, n, n)) < p)
     pixels = _stats(_sums(values))
-    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    error = image_error([summarize(pixels)])
     true = bright**2 * p * (1 - p) / R / ((bright * p) ** 2 + EPSILON)
     assert error.relmse == pytest.approx(true, rel=0.25)
     naive = float(np.mean(pixels.variance[..., 0] / (pixels.mean[..., 0] ** 2 + EPSILON)))
@@ -228,19 +230,19 @@ def test_the_pixels_that_carry_an_error_are_counted():
     for y, x in ((0, 0), (20, 3), (37, 37), (63, 63), (5, 60)):
         values[1, y, x] = 1000.0
     pixels = _stats(_sums(values))
-    few = image_error([summarize(pixels, pixel_flags(pixels))])
+    few = image_error([summarize(pixels)])
     assert few.carriers == pytest.approx(5, rel=1e-6)
     assert few.of_few
     rng = np.random.default_rng(11)
     pixels = _stats(_sums(5 + rng.standard_normal((R, 64, 64))))
-    many = image_error([summarize(pixels, pixel_flags(pixels))])
+    many = image_error([summarize(pixels)])
     assert many.carriers == pytest.approx(64**2 / (1 + 2 / (R - 1)), rel=0.1)
     assert not many.of_few
 
 
 def test_a_black_picture_has_no_error():
     pixels = _stats(_sums(np.zeros((R, 32, 32))))
-    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    error = image_error([summarize(pixels)])
     assert (error.relmse, error.deviation, error.mse) == (0.0, 0.0, 0.0)
 
 
@@ -252,12 +254,12 @@ def test_sums_beyond_float32_leave_a_finite_mean_without_a_variance():
     assert np.isnan(pixels.variance[0, 1]).all()
     assert pixel_flags(pixels)[0, 1] & flags.NO_VARIANCE
     assert pixels.variance[0, 0].tolist() == [0.0] * 4  # its neighbour is not touched
-    assert image_error([summarize(pixels, pixel_flags(pixels))]).relmse == 0.0
+    assert image_error([summarize(pixels)]).relmse == 0.0
 
 
 def test_variance_of_the_brightest_radiance_is_finite():
     values = np.linspace(1.0, 3e38, R).reshape(R, 1, 1)
     pixels = _stats(_sums(values))
     assert pixels.variance[0, 0, 0] == pytest.approx(values.var(ddof=1) / R, rel=1e-6)  # float32 sums
-    error = image_error([summarize(pixels, pixel_flags(pixels))])
+    error = image_error([summarize(pixels)])
     assert error.relmse == pytest.approx(float(values.var(ddof=1) / R / values.mean() ** 2), rel=1e-6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from penumbra_service.film.error import ImageError
 from penumbra_service.film.stop import StopRule
 from penumbra_service.jobs.batches import Batches
@@ -35,18 +37,24 @@ def ends_of(relmse, target, early=True):  # type: ignore[no-untyped-def]
             return batches.ends
 
 
-def test_early_looks_that_cannot_end_a_render_are_left_out_however_fast_it_is():
+def test_looks_that_cannot_end_a_render_are_left_out_however_fast_it_is():
     """A relmse of 1 / samples that meets its target at 320 samples, and at 20."""
     for early in (True, False):
-        assert ends_of(lambda n: 1 / n, 320**-0.5, early)[:8] == [1, 2, 4, 8, 16, 20, 24, 28]
-        assert ends_of(lambda n: 1 / n, 19.5**-0.5, early) == [1, 2, 3, 4, 5]
+        assert ends_of(lambda n: 1 / n, 319.5**-0.5, early) == [1, 4, 8, 16, 32, 40, 56, 64, 80]
+        assert ends_of(lambda n: 1 / n, 19.5**-0.5, early) == [1, 4, 5]
 
 
 def test_an_error_that_falls_as_fast_as_any_is_not_looked_for_too_late():
+    points = [f * 2**k for k in range(2, 10) for f in (4, 5, 6, 7)]
     for theta in (1.0, 1.25, 1.5):
-        for needed in (20, 24, 40, 56, 64, 100):
+        for needed in (20, 24, 40, 56, 64, 100, 333, 1000):
             met = ends_of(lambda n, needed=needed, theta=theta: (needed / n) ** theta * 1e-4, 0.01)[-1]
-            assert 4 * met == min(n for n in (20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112) if n >= needed)
+            assert 4 * met == min(n for n in points if n >= needed)
+
+
+def test_a_picture_is_looked_at_once_in_an_octave_at_least():
+    ends = ends_of(lambda n: 1 / n, 1e5**-0.5)
+    assert all(after <= 2 * end for end, after in pairwise(ends[1:]))
 
 
 def test_what_is_past_the_stop_does_not_count():

@@ -10,9 +10,10 @@ import pytest
 from penumbra_scene.job import StopReason
 from penumbra_scene.receipt import Receipt
 from penumbra_scene.scene import Scene
+from penumbra_service.film.counts import PixelCounts
 from penumbra_service.film.predict import Point
 from penumbra_service.jobs.receipt import ReceiptContext, build_receipt
-from penumbra_service.jobs.record import AdaptiveUse, DeviceUse, Effect, Foretold, PixelCounts, RunRecord
+from penumbra_service.jobs.record import AdaptiveUse, DeviceUse, Effect, Foretold, RunRecord
 from penumbra_service.results import attributes
 from penumbra_service.web.pages import receipt_rows
 
