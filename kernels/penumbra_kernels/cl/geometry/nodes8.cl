@@ -4,9 +4,9 @@
 
 #define PLANES(node, offset) (*(const __global float8 *)((const __global float *)(node) + (offset)))
 
-// t at which the ray enters each child's box; the mask of those that it meets no later than `end`. NaN of a plane that
-// the origin lies in is always the first operand, and dropped.
-static inline uint meet_boxes(const __global Node8 *node, const WideRay *w, const float end, float8 *enter) {
+// t at which the ray enters each child's box; those that it meets no later than `end`. NaN of a plane that the origin lies
+// in is always the first operand, and dropped.
+static inline int8 meet_boxes(const __global Node8 *node, const WideRay *w, const float end, float8 *enter) {
   const float8 zero = 0.0f, last = end;
   const float8 nx = (PLANES(node, w->near_x) - w->near_ox) * w->near_rx;
   const float8 ny = (PLANES(node, w->near_y) - w->near_oy) * w->near_ry;
@@ -15,7 +15,7 @@ static inline uint meet_boxes(const __global Node8 *node, const WideRay *w, cons
   const float8 fy = (PLANES(node, w->near_y ^ 8u) - w->far_oy) * w->far_ry;
   const float8 fz = (PLANES(node, w->near_z ^ 8u) - w->far_oz) * w->far_rz;
   *enter = MAX8(nx, MAX8(ny, MAX8(nz, zero)));
-  return lane_mask(*enter <= MIN8(fx, MIN8(fy, MIN8(fz, last))));
+  return *enter <= MIN8(fx, MIN8(fy, MIN8(fz, last)));
 }
 
 // The same for one child: whether the ray meets its box no later than `end`.
@@ -35,19 +35,20 @@ static inline bool meets_box(const __global Node8 *node, const uint lane, const 
 // Leaves without triangles ask for some packet: a load that is not there costs nothing.
 static inline void prefetch_child(const SceneData *scene, const uint word) {
   const bool leaf = (word & LEAF_FLAG) != 0u;
-  const __global char *at = leaf ? (const __global char *)(scene->packets + (word & LEAF_PACKET_MASK))
-                                 : (const __global char *)(scene->nodes + word);
+  const __global char *packet = (const __global char *)(scene->packets + (word & LEAF_PACKET_MASK));
+  const __global char *node = (const __global char *)(scene->nodes + word);
+  const __global char *at = leaf ? packet : node;
   PREFETCH(at);
   PREFETCH(at + 64);
   PREFETCH(at + 128);
   PREFETCH(at + 192);
-  if (leaf) PREFETCH(at + 256);
+  PREFETCH(at + (leaf ? 256 : 192));
 }
 
 // The nearest child that is met, or NO_CHILD; the others wait on the stack, the nearer the later.
 static inline uint visit_node(const SceneData *scene, const __global Node8 *node, const WideRay *w, const float end, Stack *stack) {
   float8 enter[1];
-  uint mask = meet_boxes(node, w, end, enter);
+  uint mask = lane_mask(meet_boxes(node, w, end, enter));
   if (!mask) return NO_CHILD;
   const float *t = (const float *)enter;
   for (uint m = mask; m; m &= m - 1u) prefetch_child(scene, node->child[CTZ(m)]);

@@ -2,6 +2,7 @@
 // waits for its own branches. Each ray meets what traverse.cl finds for it, bit for bit. An instance is a leaf of the world's tree:
 // the rays that meet it go on in its own tree, each in the frame that the instance has at its time. Metres, seconds.
 #include "geometry/intersect.cl"
+#include "geometry/flight16.cl"
 #include "geometry/triangle16.cl"
 #if PENUMBRA_ROUND
 #include "geometry/round16.cl"
@@ -138,15 +139,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void traverse16(const SceneData *scene, c
 
 // The first hit of each ray, of kind NONE where there is none; the lanes of `on` that have one.
 static inline Mask16 intersect16(const SceneData *scene, const bool together, const Ray16 *ray, const Mask16 on, Hit16 *hit) {
-  if (!together) {
-    Mask16 found = 0;
-    for (LANES_OF(k, on)) {
-      Hit one;
-      LANE_I(found, k) = intersect(scene, lane_ray(ray, k), &one) ? -1 : 0;
-      set_lane_hit(hit, k, one);
-    }
-    return found;
-  }
+  if (!together) return fly16(scene, ray, on, false, hit);
   Best16 best;
   traverse16(scene, ray, on, false, &best);
   hit->t = best.t;
@@ -166,9 +159,8 @@ static inline Mask16 intersect16(const SceneData *scene, const bool together, co
 // The lanes of `on` whose ray meets anything before its end.
 static inline Mask16 occluded16(const SceneData *scene, const bool together, const Ray16 *ray, const Mask16 on) {
   if (!together) {
-    Mask16 found = 0;
-    for (LANES_OF(k, on)) LANE_I(found, k) = occluded(scene, lane_ray(ray, k)) ? -1 : 0;
-    return found;
+    Hit16 hit;
+    return fly16(scene, ray, on, true, &hit);
   }
   Best16 best;
   traverse16(scene, ray, on, true, &best);

@@ -29,9 +29,10 @@ static inline void lane_vertices(const SceneData *scene, const uint lane, float3
 }
 
 // The ray against the triangles: t and the weights of vertices 1 and 2 and a bit for each whose t is in (0, end), or,
-// where the closest hit is asked for, in (0, end].
-static inline uint meet_triangles(const EightTriangles *e, const RayAxes *r, const float end, const bool any, float8 *t, float8 *b1,
-                                  float8 *b2) {
+// where the closest hit is asked for, in (0, end]. early: whether a ray that misses all of them is told before the division, for a
+// branch that a processor may guess wrong.
+static inline uint meet_triangles(const EightTriangles *e, const RayAxes *r, const float end, const bool any, const bool early,
+                                  float8 *t, float8 *b1, float8 *b2) {
   const float8 az = e->az - r->oz, bz = e->bz - r->oz, cz = e->cz - r->oz;
   const float8 ax = (e->ax - r->ox) - r->sx * az, ay = (e->ay - r->oy) - r->sy * az;
   const float8 bx = (e->bx - r->ox) - r->sx * bz, by = (e->by - r->oy) - r->sy * bz;
@@ -42,7 +43,7 @@ static inline uint meet_triangles(const EightTriangles *e, const RayAxes *r, con
   const float8 low = MIN8(MIN8(u, v), q), high = MAX8(MAX8(u, v), q);
   const float8 det = u + v + q;
   const int8 inside = ((low >= 0.0f) | (high <= 0.0f)) & (det != 0.0f);
-  if (!lane_mask(inside)) return 0u;
+  if (early && !lane_mask(inside)) return 0u;
   const float8 inverse = 1.0f / det;
   *b1 = v * inverse;
   *b2 = q * inverse;
@@ -50,24 +51,29 @@ static inline uint meet_triangles(const EightTriangles *e, const RayAxes *r, con
   return lane_mask(inside & (*t > 0.0f) & (any ? *t < end : *t <= end));
 }
 
-// Offers the triangles that are hit; true where there is one (the caller of an any-hit query stops there).
-// packet: its index.
-static inline bool hit_triangles(const EightTriangles *e, const SceneData *scene, const uint packet, const WideRay *w,
-                                 const uint instance, const bool any, Hit *best) {
-  float8 t, b1, b2;
-  uint mask = meet_triangles(e, &w->axes, best->t, any, &t, &b1, &b2);
-  if (!mask) return false;
-  if (any) return true;
-  const float8 ts[1] = {t}, us[1] = {b1}, vs[1] = {b2};
+// Offers the triangles of the mask, which is not 0. packet: its index; t, b1, b2: as meet_triangles gives them.
+static inline void offer_triangles(uint mask, const SceneData *scene, const uint packet, const uint instance, const float8 *t,
+                                   const float8 *b1, const float8 *b2, Hit *best) {
   const __global uint *primitive = scene->packets[packet].primitive;
   do {
     const uint i = CTZ(mask);
     mask &= mask - 1u;
-    if (hit_offer(((const float *)ts)[i], ((const float *)us)[i], ((const float *)vs)[i], PRIMITIVE_TRIANGLE, primitive[i],
-                  instance, best)) {
+    if (hit_offer(((const float *)t)[i], ((const float *)b1)[i], ((const float *)b2)[i], PRIMITIVE_TRIANGLE, primitive[i], instance,
+                  best)) {
       best->lane = 8u * packet + i;
     }
   } while (mask);
+}
+
+// Offers the triangles that are hit; true where there is one (the caller of an any-hit query stops there).
+static inline bool hit_triangles(const EightTriangles *e, const SceneData *scene, const uint packet, const WideRay *w,
+                                 const uint instance, const bool any, Hit *best) {
+  float8 t, b1, b2;
+  const uint mask = meet_triangles(e, &w->axes, best->t, any, true, &t, &b1, &b2);
+  if (!mask) return false;
+  if (any) return true;
+  const float8 ts[1] = {t}, us[1] = {b1}, vs[1] = {b2};
+  offer_triangles(mask, scene, packet, instance, ts, us, vs, best);
   return true;
 }
 

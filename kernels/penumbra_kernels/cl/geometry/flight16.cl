@@ -1,0 +1,321 @@
+// Sixteen rays in flight through a large tree, each on its own way: in a round every ray takes one step, visits a node or meets the
+// triangles of a leaf, so that the others work while one waits for memory. Steps have no branches that a processor would guess
+// wrong: children are sorted by a network, triangles met to the end. Each ray meets what traverse.cl finds for it, bit for bit, as
+// the order of visits never shows (hit_beats). Metres, seconds.
+#include "geometry/intersect.cl"
+#include "geometry/triangle16.cl"
+
+#define FLIGHT_STACK (STACK_SIZE + 8u)  // a visit writes eight children, those that are met first
+#define FLIGHT_PACKETS (2u * LANES + 1u)  // accel/wide.py makes no leaf of more than two
+
+#if PENUMBRA_BUILTINS
+typedef int8 LooseInt8 __attribute__((aligned(4)));
+static inline void store8(const int8 v, int *to) { *(LooseInt8 *)to = v; }
+#else
+static inline void store8(const int8 v, int *to) { vstore8(v, 0, to); }
+#endif
+
+// In lane i the child whose number is key[i] mod 8.
+#if PENUMBRA_X86 && defined(__AVX2__)
+static inline int8 pick8(const __global uint *child, const int8 key) {
+  return __builtin_ia32_permvarsi256(*(const __global int8 *)child, key);
+}
+#else
+static inline int8 pick8(const __global uint *child, const int8 key) {
+  int8 out;
+  for (uint i = 0u; i < 8u; i++) ((int *)&out)[i] = (int)child[((const int *)&key)[i] & 7];
+  return out;
+}
+#endif
+
+// Each lane and its partner: the larger where `first`, the smaller in the other.
+static inline int8 in_order8(const int8 v, const int8 partner, const int8 first) { return first ? MAX8(v, partner) : MIN8(v, partner); }
+
+// The largest first (Batcher 1968, "Sorting Networks and Their Applications": bitonic merges).
+static inline int8 sort8(int8 v) {
+  const int8 of_two = (int8)(-1, 0, -1, 0, -1, 0, -1, 0), of_four = (int8)(-1, -1, 0, 0, -1, -1, 0, 0);
+  const int8 of_eight = (int8)(-1, -1, -1, -1, 0, 0, 0, 0);
+  v = in_order8(v, v.s10325476, of_two);
+  v = in_order8(v, v.s32107654, of_four);
+  v = in_order8(v, v.s10325476, of_two);
+  v = in_order8(v, v.s76543210, of_eight);
+  v = in_order8(v, v.s23016745, of_four);
+  return in_order8(v, v.s10325476, of_two);
+}
+
+// Where each ray is. Children wait under keys: t at which the ray enters, its last three bits replaced by the child's number.
+typedef struct {
+  WideRay16 wide;     // in the frame of the tree that the ray is in
+  uint16 kx, ky, kz;  // its axes, as in RayAxes
+#if PENUMBRA_ROUND || PENUMBRA_INSTANCING
+  Vec16 o, d;         // the same
+#endif
+  uint instance[LANES];
+  Hit best[LANES];
+  uint word[LANES];  // where it goes in this round
+  uint size[LANES];
+  int keys[LANES][FLIGHT_STACK];
+  uint words[LANES][FLIGHT_STACK];
+} Flight;
+
+// Ray k behind `count` others, or not: without a branch. How many there are then.
+static inline uint add_ray(uint *rays, const uint count, const uint k, const bool in) {
+  rays[count] = k;
+  return count + (in ? 1u : 0u);
+}
+
+static inline void push_child(Flight *f, const uint k, const int key, const uint word) {
+  f->keys[k][f->size[k]] = key;
+  f->words[k][f->size[k]++] = word;
+}
+
+// Ray k as wide_ray prepares it: for triangles, and all of it.
+static inline RayAxes flying_axes(const Flight *f, const uint k) {
+  const WideRay16 *w = &f->wide;
+  RayAxes r;
+  r.kx = LANE_U(f->kx, k);
+  r.ky = LANE_U(f->ky, k);
+  r.kz = LANE_U(f->kz, k);
+  r.ox = LANE_F(w->okx, k);
+  r.oy = LANE_F(w->oky, k);
+  r.oz = LANE_F(w->okz, k);
+  r.sx = LANE_F(w->sx, k);
+  r.sy = LANE_F(w->sy, k);
+  r.sz = LANE_F(w->sz, k);
+  return r;
+}
+
+static inline WideRay flying_ray(const Flight *f, const uint k) {
+  const WideRay16 *w = &f->wide;
+  WideRay out;
+  out.near_ox = LANE_F(w->near_ox, k);
+  out.near_oy = LANE_F(w->near_oy, k);
+  out.near_oz = LANE_F(w->near_oz, k);
+  out.far_ox = LANE_F(w->far_ox, k);
+  out.far_oy = LANE_F(w->far_oy, k);
+  out.far_oz = LANE_F(w->far_oz, k);
+  out.near_rx = LANE_F(w->near_rx, k);
+  out.near_ry = LANE_F(w->near_ry, k);
+  out.near_rz = LANE_F(w->near_rz, k);
+  out.far_rx = LANE_F(w->far_rx, k);
+  out.far_ry = LANE_F(w->far_ry, k);
+  out.far_rz = LANE_F(w->far_rz, k);
+  out.near_x = LANE_U(w->back_x, k) & 8u;
+  out.near_y = 16u + (LANE_U(w->back_y, k) & 8u);
+  out.near_z = 32u + (LANE_U(w->back_z, k) & 8u);
+  out.axes = flying_axes(f, k);
+#if PENUMBRA_ROUND || PENUMBRA_INSTANCING
+  out.o = lane3(&f->o, k);
+  out.d = lane3(&f->d, k);
+#endif
+  return out;
+}
+
+// The children that ray k meets onto its stack, the nearer the later.
+static inline void step_to_node(const SceneData *scene, Flight *f, const uint k) {
+  const __global Node8 *node = scene->nodes + f->word[k];
+  const WideRay w[1] = {flying_ray(f, k)};
+  const int8 number = (int8)(0, 1, 2, 3, 4, 5, 6, 7), none = -1;
+  float8 enter;
+  const int8 meets = meet_boxes(node, w, f->best[k].t, &enter);
+  const int8 keys = sort8(meets ? (as_int8(enter) & ~7) | number : none);
+  store8(keys, f->keys[k] + f->size[k]);
+  store8(pick8(node->child, keys), (int *)f->words[k] + f->size[k]);
+  f->size[k] += POPCOUNT(lane_mask(meets));
+}
+
+// Takes the next child that ray k enters no later than its best hit; false where nothing waits any more.
+static inline bool next_child(Flight *f, const uint k) {
+  const int end = as_int(f->best[k].t) | 7;
+  uint size = f->size[k];
+  bool near = false;
+  while (size && !near) near = f->keys[k][--size] <= end;
+  f->size[k] = size;
+  f->word[k] = f->words[k][size];
+  return near;
+}
+
+// Ray k has met something: where any hit will do it ends.
+static inline void end_ray(Flight *f, const uint k) {
+  f->best[k].kind = PRIMITIVE_TRIANGLE;
+  f->size[k] = 0u;
+}
+
+#if PENUMBRA_INSTANCING
+// Ray k goes on in another frame.
+static inline void set_frame(Flight *f, const uint k, const WideRay *w, const uint instance) {
+  WideRay16 *to = &f->wide;
+  LANE_F(to->near_ox, k) = w->near_ox.s0;
+  LANE_F(to->near_oy, k) = w->near_oy.s0;
+  LANE_F(to->near_oz, k) = w->near_oz.s0;
+  LANE_F(to->far_ox, k) = w->far_ox.s0;
+  LANE_F(to->far_oy, k) = w->far_oy.s0;
+  LANE_F(to->far_oz, k) = w->far_oz.s0;
+  LANE_F(to->near_rx, k) = w->near_rx.s0;
+  LANE_F(to->near_ry, k) = w->near_ry.s0;
+  LANE_F(to->near_rz, k) = w->near_rz.s0;
+  LANE_F(to->far_rx, k) = w->far_rx.s0;
+  LANE_F(to->far_ry, k) = w->far_ry.s0;
+  LANE_F(to->far_rz, k) = w->far_rz.s0;
+  LANE_I(to->back_x, k) = w->near_x & 8u ? -1 : 0;
+  LANE_I(to->back_y, k) = w->near_y & 8u ? -1 : 0;
+  LANE_I(to->back_z, k) = w->near_z & 8u ? -1 : 0;
+  LANE_U(f->kx, k) = w->axes.kx;
+  LANE_U(f->ky, k) = w->axes.ky;
+  LANE_U(f->kz, k) = w->axes.kz;
+  LANE_F(to->okx, k) = w->axes.ox.s0;
+  LANE_F(to->oky, k) = w->axes.oy.s0;
+  LANE_F(to->okz, k) = w->axes.oz.s0;
+  LANE_F(to->sx, k) = w->axes.sx.s0;
+  LANE_F(to->sy, k) = w->axes.sy.s0;
+  LANE_F(to->sz, k) = w->axes.sz.s0;
+  set_lane3(&f->o, k, w->o);
+  set_lane3(&f->d, k, w->d);
+  f->instance[k] = instance;
+}
+
+// Ray k, in the world, meets an instance.
+static inline void step_into(const SceneData *scene, const Ray16 *rays, Flight *f, const uint k) {
+  const uint index = f->word[k] & LEAF_INSTANCE_MASK;
+  const Ray ray = lane_ray(rays, k);
+  const WideRay world = flying_ray(f, k);
+  WideRay inside;
+  if (!enter_instance(scene, index, &ray, &world, f->best[k].t, &inside)) return;
+  // Where nothing waits in the world there is no way back.
+  if (f->size[k]) push_child(f, k, 0, BACK_TO_WORLD);
+  push_child(f, k, 0, scene->instances[index].root);
+  set_frame(f, k, &inside, index);
+}
+
+static inline void step_back(const Ray16 *rays, Flight *f, const uint k) {
+  WideRay world;
+  wide_ray(lane3(&rays->o, k), lane3(&rays->d, k), &world);
+  set_frame(f, k, &world, NONE);
+}
+#endif
+
+// What is no leaf of triangles that stand still, ray by ray; whether it was that.
+static inline bool step_to_other(const SceneData *scene, const Ray16 *rays, Flight *f, const uint k, const bool any) {
+#if PENUMBRA_ROUND || PENUMBRA_DEFORMATION || PENUMBRA_INSTANCING
+  const uint word = f->word[k], type = (word >> LEAF_TYPE_SHIFT) & 3u;
+  if (type == LEAF_TRIANGLES) return false;
+#if PENUMBRA_INSTANCING
+  if (word == BACK_TO_WORLD) {
+    step_back(rays, f, k);
+    return true;
+  }
+  if (type == LEAF_INSTANCE) {
+    step_into(scene, rays, f, k);
+    return true;
+  }
+#endif
+  const WideRay w = flying_ray(f, k);
+  if (hit_leaf(scene, word, &w, LANE_F(rays->time, k), f->instance[k], any, f->best + k) && any) end_ray(f, k);
+  return true;
+#else
+  return false;
+#endif
+}
+
+// Packets that rays meet in a round, and the triangles that they hit.
+typedef struct {
+  uint lane[FLIGHT_PACKETS], packet[FLIGHT_PACKETS];
+  float8 t[FLIGHT_PACKETS], u[FLIGHT_PACKETS], v[FLIGHT_PACKETS];
+  uint mask[FLIGHT_PACKETS], of[FLIGHT_PACKETS];
+} Meetings;
+
+// The packets of a leaf behind `count` others; how many there are then.
+static inline uint add_packets(Meetings *m, uint count, const uint k, const uint word) {
+  const uint packets = (word >> LEAF_COUNT_SHIFT) & 3u, first = word & LEAF_PACKET_MASK;
+  m->packet[count] = first;
+  count = add_ray(m->lane, count, k, packets > 0u);
+  m->packet[count] = first + 1u;
+  return add_ray(m->lane, count, k, packets > 1u);
+}
+
+// How many of them are hit.
+static inline uint meet_packets(const SceneData *scene, const Flight *f, const bool any, const uint count, Meetings *m) {
+  uint hits = 0u;
+  for (uint i = 0u; i < count; i++) {
+    const uint k = m->lane[i];
+    const RayAxes axes = flying_axes(f, k);
+    EightTriangles e;
+    load_triangles(scene->packets + m->packet[i], &axes, &e);
+    const uint mask = meet_triangles(&e, &axes, f->best[k].t, any, false, m->t + hits, m->u + hits, m->v + hits);
+    m->mask[hits] = mask;
+    hits = add_ray(m->of, hits, i, mask != 0u);
+  }
+  return hits;
+}
+
+// Offers what was hit, in the order of packets.
+static inline void take_hits(const SceneData *scene, const bool any, const uint hits, const Meetings *m, Flight *f) {
+  for (uint n = 0u; n < hits; n++) {
+    const uint k = m->lane[m->of[n]], packet = m->packet[m->of[n]];
+    if (any) end_ray(f, k);
+    else offer_triangles(m->mask[n], scene, packet, f->instance[k], m->t + n, m->u + n, m->v + n, f->best + k);
+  }
+}
+
+// One round: where every ray that still flies goes, and its step there. How many fly on.
+static inline uint fly_on(const SceneData *scene, const Ray16 *rays, const bool any, const uint count, uint *flying, Flight *f) {
+  uint to_nodes[LANES + 1u], to_leaves[LANES + 1u];
+  Meetings m;
+  uint left = 0u, nodes = 0u, leaves = 0u, packets = 0u;
+  for (uint i = 0u; i < count; i++) {
+    const uint k = flying[i];
+    if (!next_child(f, k)) continue;
+    const uint word = f->word[k];
+    prefetch_child(scene, word);
+    left = add_ray(flying, left, k, true);
+    nodes = add_ray(to_nodes, nodes, k, !(word & LEAF_FLAG));
+    leaves = add_ray(to_leaves, leaves, k, (word & LEAF_FLAG) != 0u);
+  }
+  for (uint i = 0u; i < nodes; i++) step_to_node(scene, f, to_nodes[i]);
+  for (uint i = 0u; i < leaves; i++) {
+    const uint k = to_leaves[i];
+    if (!step_to_other(scene, rays, f, k, any)) packets = add_packets(&m, packets, k, f->word[k]);
+  }
+  take_hits(scene, any, meet_packets(scene, f, any, packets, &m), &m, f);
+  return left;
+}
+
+// Ray k at the tree's root; false where it has ended already.
+static inline bool take_off(const SceneData *scene, const Ray16 *rays, const uint k, const bool any, Flight *f) {
+  f->best[k] = no_hit(LANE_F(rays->tmax, k));
+  f->instance[k] = NONE;
+  f->size[k] = 0u;
+#if PENUMBRA_ROUND
+  const Ray ray = lane_ray(rays, k);
+  if (hit_planes(scene, &ray, any, f->best + k) && any) {
+    end_ray(f, k);
+    return false;
+  }
+#endif
+  push_child(f, k, 0, scene->root);
+  return LANE_I(f->wide.is_ray, k) != 0;
+}
+
+// The lanes of `on` that meet anything, and, unless any hit will do, what first.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE Mask16 fly16(const SceneData *scene, const Ray16 *rays, const Mask16 on, const bool any,
+                                                    Hit16 *hit) {
+  Flight f[1];
+  uint flying[LANES + 1u], count = 0u;
+  wide_ray16(&rays->o, &rays->d, &f->wide);
+  const uint16 x = 0u, y = 1u, z = 2u;
+  f->kx = NEXT(&f->wide, x, y, z);
+  f->ky = AFTER(&f->wide, x, y, z);
+  f->kz = ALONG(&f->wide, x, y, z);
+#if PENUMBRA_ROUND || PENUMBRA_INSTANCING
+  f->o = rays->o;
+  f->d = rays->d;
+#endif
+  for (LANES_OF(k, on)) count = add_ray(flying, count, k, take_off(scene, rays, k, any, f));
+  while (count) count = fly_on(scene, rays, any, count, flying, f);
+  Mask16 found = 0;
+  for (LANES_OF(k, on)) {
+    LANE_I(found, k) = f->best[k].kind != NONE ? -1 : 0;
+    if (!any) set_lane_hit(hit, k, f->best[k]);
+  }
+  return found;
+}
