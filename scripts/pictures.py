@@ -115,8 +115,9 @@ def numbers(receipt: Receipt) -> str:
             f", {levels[-1].samples} in the darkest parts of the map to {levels[0].samples} in the lightest"
         )
     frame = "" if receipt.frame is None else f"Frame {receipt.frame}: "
+    count = "1 sample" if receipt.samples == 1 else f"{receipt.samples:.0f} samples"
     return (
-        f"{frame}{receipt.samples:.0f} samples a pixel (`{receipt.sampler}`{spread}), {told}, "
+        f"{frame}{count} a pixel (`{receipt.sampler}`{spread}), {told}, "
         f"{receipt.forecast.real_seconds:.1f} s on {receipt.devices[0].name}. Effects: {effects}."
     )
 

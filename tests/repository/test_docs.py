@@ -73,6 +73,21 @@ def test_the_command_line_document_tells_every_exit_status() -> None:
     assert [int(status) for status in listed] == sorted(Exit)
 
 
+def test_the_command_line_document_says_what_the_client_alone_cannot_do() -> None:
+    told = (
+        (ROOT / "docs" / "cli.md").read_text().split("The client alone installs", 1)[1].split("\n## ", 1)[0]
+    )
+    missing = [name for name in sorted(_commands() - set(BUILT_IN)) if f"`{name}`" not in told]
+    assert not missing
+
+
+def test_no_change_is_told_twice() -> None:
+    """Branches that both append to the file are merged by union, which can keep two forms of a line."""
+    lines = [line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("- ")]
+    begins = [line[:60] for line in lines]
+    assert [begin for begin in set(begins) if begins.count(begin) > 1] == []
+
+
 def test_every_decision_is_listed_in_order() -> None:
     folder = ROOT / "docs" / "decisions"
     listed = re.findall(r"\]\((\d{4}-[a-z0-9-]+\.md)\)", (folder / "README.md").read_text())

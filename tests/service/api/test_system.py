@@ -68,6 +68,8 @@ def test_schemas_are_published_and_accept_the_example(client: TestClient) -> Non
     assert client.get("/v1/schema").json() == {
         n: f"/v1/schema/{n}" for n in ("scene", "job", "receipt", "quote")
     }
+    page = client.get("/docs").text
+    assert all(f'href="/v1/schema/{name}"' in page for name in ("scene", "job", "receipt", "quote"))
     schema = client.get("/v1/schema/scene").json()
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(EXAMPLE_SCENE, schema)
