@@ -24,13 +24,14 @@ MAX_BYTES: Final = 512 * 1024 * 1024
 ABANDONED_SECONDS: Final = 3600.0
 """A temporary file of that age was left by a process that was killed."""
 VARIABLE: Final = "PENUMBRA_CACHE"
+SIZE_VARIABLE: Final = "PENUMBRA_CACHE_BYTES"
 PROGRAMS: Final = "programs"
 """The folder of built programs and large trees."""
 _DIGEST: Final = 32
 
 
-class CacheFolderError(Exception):
-    """The cache folder cannot be one; the message says what names it, what was given and what is accepted."""
+class CacheError(Exception):
+    """The cache cannot be as it is asked for; the message says by which variable, what was given and what is accepted."""
 
     exit_code = Exit.USAGE
 
@@ -44,9 +45,11 @@ def folder() -> Path:
 
 
 def check() -> None:
-    """Raises CacheFolderError where the cache folder is no folder, nor could become one. One that cannot be written is
-    accepted: it may hold all that is needed."""
-    path = folder()
+    """Raises CacheError where the cache folder is no folder, nor could become one, or its size is no number. A folder that
+    cannot be written is accepted: it may hold all that is needed."""
+    path, size = folder(), os.environ.get(SIZE_VARIABLE, "")
+    if size and not size.isdecimal():
+        raise CacheError(f"{SIZE_VARIABLE}: given {size!r}, accepted: a whole number of bytes")
     try:
         check_folder(path)
     except OSError as error:
@@ -54,7 +57,7 @@ def check() -> None:
 
 
 def made(name: str) -> Path:
-    """The folder of that name in the cache folder, made if need be. Raises CacheFolderError where it cannot be written."""
+    """The folder of that name in the cache folder, made if need be. Raises CacheError where it cannot be written."""
     check()
     path = folder() / name
     try:
@@ -73,10 +76,10 @@ def check_folder(path: Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
 
 
-def _refused(path: Path, error: OSError) -> CacheFolderError:
+def _refused(path: Path, error: OSError) -> CacheError:
     given = os.environ.get(VARIABLE)
     told = f"given {given!r}" if given else "not given"
-    return CacheFolderError(
+    return CacheError(
         f"{VARIABLE}: {told}, but {error.filename or path}: {error.strerror}; accepted: a folder that can be written, or a "
         "path where one can be made"
     )
@@ -99,7 +102,7 @@ def put(path: Path, data: bytes) -> None:
 
 def capacity() -> int:
     """Bytes that all entries together may have: PENUMBRA_CACHE_BYTES, or MAX_BYTES."""
-    text = os.environ.get("PENUMBRA_CACHE_BYTES", "")
+    text = os.environ.get(SIZE_VARIABLE, "")
     return int(text) if text.isdecimal() else MAX_BYTES
 
 

@@ -150,10 +150,10 @@ def quote(request: JobRequest, folder: Path, devices: str) -> Quote:
 def local_engine(devices: str, first: Child | None = None) -> Iterator[LocalEngine]:
     """An engine of this machine that knows its devices; ids with commas between them, or "" for all.
 
-    Raises CommandError, CacheFolderError.
+    Raises CommandError, CacheError.
     """
-    cache.check()
     with LocalEngine(ids_of(devices), first=first) as engine:
+        cache.check()
         try:
             engine.wait_known()
         except NoDeviceError as error:
@@ -162,7 +162,7 @@ def local_engine(devices: str, first: Child | None = None) -> Iterator[LocalEngi
 
 
 def assets_folder() -> Path:
-    """Where decoded assets are kept where there is no service. Raises CacheFolderError."""
+    """Where decoded assets are kept where there is no service. Raises CacheError."""
     return cache.made("assets")
 
 

@@ -152,13 +152,24 @@ def test_a_cache_folder_that_is_none_is_told(
     folder = tmp_path if given == "programs is a file" else tmp_path / given
     monkeypatch.setenv("PENUMBRA_CACHE", str(folder))
     with pytest.raises(
-        cache.CacheFolderError, match=r"^PENUMBRA_CACHE: given '.*', but .*; accepted: a folder"
+        cache.CacheError, match=r"^PENUMBRA_CACHE: given '.*', but .*; accepted: a folder"
     ) as told:
         cache.made("programs")
     assert repr(str(folder)) in str(told.value)
     if folder != tmp_path:
-        with pytest.raises(cache.CacheFolderError):
+        with pytest.raises(cache.CacheError):
             cache.check()
+
+
+def test_a_size_that_is_no_number_is_told(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for given in ("512M", "-1", "1e9"):
+        monkeypatch.setenv("PENUMBRA_CACHE_BYTES", given)
+        with pytest.raises(
+            cache.CacheError, match=f"^PENUMBRA_CACHE_BYTES: given '{given}', accepted: a whole number"
+        ):
+            cache.check()
+    monkeypatch.setenv("PENUMBRA_CACHE_BYTES", "1000")
+    cache.check()
 
 
 def test_a_cache_folder_that_is_not_there_yet_is_made(
@@ -171,7 +182,7 @@ def test_a_cache_folder_that_is_not_there_yet_is_made(
     monkeypatch.delenv("PENUMBRA_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     (tmp_path / "file").write_text("")
-    with pytest.raises(cache.CacheFolderError, match=r"^PENUMBRA_CACHE: not given, but "):
+    with pytest.raises(cache.CacheError, match=r"^PENUMBRA_CACHE: not given, but "):
         cache.check()
 
 

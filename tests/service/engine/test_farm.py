@@ -18,7 +18,7 @@ from pathlib import Path
 
 import dask
 import pytest
-from penumbra_kernels.cache import CacheFolderError
+from penumbra_kernels.cache import CacheError
 from penumbra_service.engine.dask import publisher as publishing
 from penumbra_service.engine.dask.addresses import check_scheduler, security
 from penumbra_service.engine.dask.certs import ROLES, CertsExistError, make_certs
@@ -229,7 +229,7 @@ def test_a_worker_whose_cache_is_no_folder_does_not_start(tmp_path, monkeypatch,
         monkeypatch.setenv("PENUMBRA_CACHE", str(tmp_path / "file"))
     options = WorkerOptions("tcp://127.0.0.1:1", cache=tmp_path / ("file" if named == "--cache" else "farm"))
     with pytest.raises(
-        (SettingsError, CacheFolderError), match=rf"^{named}: given '.*file', but .*; accepted: a folder"
+        (SettingsError, CacheError), match=rf"^{named}: given '.*file', but .*; accepted: a folder"
     ):
         supervise(options)
 

@@ -26,7 +26,7 @@ _AGENTS: Final[dict[str, Agent]] = {}
 
 
 async def dask_setup(worker: Worker) -> None:
-    """Dask calls it before the worker joins. Raises NoDeviceError, CacheFolderError."""
+    """Dask calls it before the worker joins. Raises NoDeviceError, CacheError."""
     cache.check()
     found = await asyncio.to_thread(list_devices)
     wanted = os.environ.get("PENUMBRA_DEVICES") or (found[0].id if found else "")

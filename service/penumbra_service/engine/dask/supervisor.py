@@ -62,7 +62,7 @@ class WorkerOptions:
 
 
 def supervise(options: WorkerOptions) -> None:
-    """Keep the workers up until SIGTERM or SIGINT. Raises SettingsError, NoDeviceError, CacheFolderError."""
+    """Keep the workers up until SIGTERM or SIGINT. Raises SettingsError, NoDeviceError, CacheError."""
     cache.check()
     _check_cache(options.cache)
     check_scheduler(options.scheduler, options.tls)
