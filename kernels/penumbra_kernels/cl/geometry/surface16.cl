@@ -11,30 +11,27 @@
 
 #define GRAIN (PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION)  // whether materials may tell directions around the normal apart
 
-// A field of each lane's shape, by where the first shape has it.
-static inline uint16 shape_field16(const __global uint *first, const uint16 shape, const Mask16 on) {
-  return gather_u16(first, shape * WORDS(ShapeData), on);
+// Four words of each lane's shape, from `word` on.
+static inline Rows16 shape_rows16(const SceneData *scene, const uint16 shape, const uint word, const Mask16 on) {
+  return gather_rows16(scene->shapes, shape * WORDS(ShapeData) + word, on);
 }
+#define SHAPE_MATERIAL 0u  // material, light, flags, object_id
+#define SHAPE_OFFSETS 4u   // normal_offset, uv_offset, first_triangle, triangle_count
+#define SHAPE_DEFORMING 8u // deform_stride, deform_count, deform_first_time
 
-static inline uint16 material_of16(const SceneData *scene, const uint16 shape, const Mask16 on) {
-  return shape_field16(&scene->shapes->material, shape, on) * WORDS(Material);
-}
-
+// shape_has_grain, shape_has_texture.
 #if GRAIN
-// shape_has_grain.
-static inline Mask16 grained16(const SceneData *scene, const uint16 shape, const Mask16 on) {
-  const uint16 at = material_of16(scene, shape, on);
-  return on & (gather16(&scene->materials->alpha_x, at, on) != gather16(&scene->materials->alpha_y, at, on));
+static inline Mask16 grained16(const SceneData *scene, const uint16 material, const Mask16 on) {
+  const Rows16 gloss = gather_rows16(&scene->materials->alpha_x, material * WORDS(Material), on);
+  return on & (gloss.x != gloss.y);
 }
 #endif
 
 #if PENUMBRA_TEXTURES
-// shape_has_texture.
-static inline Mask16 textured16(const SceneData *scene, const uint16 shape, const Mask16 on) {
-  const uint16 at = material_of16(scene, shape, on);
-  const uint16 texture0 = gather_u16(&scene->materials->texture0, at, on);
-  const uint16 texture1 = gather_u16(&scene->materials->texture1, at, on);
-  return on & ((texture0 & texture1) != NONE);
+static inline Mask16 textured16(const SceneData *scene, const uint16 material, const Mask16 on) {
+  const uint16 at = material * WORDS(Material);
+  const Rows16 first = gather_rows16(scene->materials->color0, at, on), second = gather_rows16(scene->materials->color1, at, on);
+  return on & ((as_uint16(first.w) & as_uint16(second.w)) != NONE);
 }
 #endif
 
@@ -62,10 +59,20 @@ static inline Vec16 max_of16(const Vec16 a, const Vec16 b) { return vec16(MAX16(
 // Packets beyond which gathers do not reach (lanes16.cl): their triangles go one by one.
 #define GATHERED_PACKETS (0x7fffffffu / WORDS(Packet8))
 
-static inline Vec16 packet_corner16(const SceneData *scene, const uint16 lane, const uint corner, const Mask16 on) {
+// The corners of each lane's triangle, which is lane `lane` of the packets.
+static inline Vec16 triangle_corner16(const __global float *from, const uint16 at, const Mask16 on, const bool one, const uint which) {
+  if (one) return vec16(from[which], from[which + 8u], from[which + 16u]);
+  return vec16(gather16(from, at, on), gather16(from + 8, at, on), gather16(from + 16, at, on));
+}
+
+static inline void corners16(const SceneData *scene, const uint16 lane, const Mask16 on, Vec16 *a, Vec16 *b, Vec16 *c) {
   const __global float *packets = (const __global float *)scene->packets;
-  const uint16 at = (lane >> 3u) * WORDS(Packet8) + (lane & 7u) + 24u * corner;
-  return vec16(gather16(packets, at, on), gather16(packets, at + 8u, on), gather16(packets, at + 16u, on));
+  const uint16 at = (lane >> 3u) * WORDS(Packet8) + (lane & 7u);
+  const uint which = LANE_U(at, CTZ(mask16(on) | 0x8000u));
+  const bool one = !any16(on & (at != which));
+  *a = triangle_corner16(packets, at, on, one, which);
+  *b = triangle_corner16(packets + 24, at, on, one, which);
+  *c = triangle_corner16(packets + 48, at, on, one, which);
 }
 
 // winding_normal of the lanes that have an area.
@@ -98,15 +105,13 @@ static inline Vec16 shading_normal16(const Vec16 normal, const Vec16 ng) {
   return where16(dot16(ns, ng) < 0.0f, neg16(ns), ns);
 }
 
-static inline Vec16 vertex_normals16(const SceneData *scene, const Hit16 *hit, const uint16 shape, const Vec16 weight,
+static inline Vec16 vertex_normals16(const SceneData *scene, const Rows16 *triangle, const uint16 shape, const Vec16 weight,
                                      const Mask16 on) {
-  const uint16 offset = shape_field16((const __global uint *)&scene->shapes->normal_offset, shape, on);
-  Vec16 n[3];
-  for (uint i = 0u; i < 3u; i++) {
-    const uint16 vertex = gather_u16(&scene->triangles->vertex[i], hit->primitive * WORDS(TriangleData), on);
-    n[i] = gather3_16(scene->normals, (vertex + offset) * 3u, on);
-  }
-  return interpolate16(n[0], n[1], n[2], weight);
+  const uint16 offset = as_uint16(shape_rows16(scene, shape, SHAPE_OFFSETS, on).x);
+  const Vec16 a = gather3_16(scene->normals, (as_uint16(triangle->x) + offset) * 3u, on);
+  const Vec16 b = gather3_16(scene->normals, (as_uint16(triangle->y) + offset) * 3u, on);
+  const Vec16 c = gather3_16(scene->normals, (as_uint16(triangle->z) + offset) * 3u, on);
+  return interpolate16(a, b, c, weight);
 }
 
 // Puts a point into the lanes of `on`.
@@ -124,21 +129,21 @@ static inline void put_uv16(const Mask16 on, const float16 u, const float16 v, S
 }
 
 #if PENUMBRA_TEXTURES || GRAIN
-static inline void corner_uvs16(const SceneData *scene, const Hit16 *hit, const uint16 shape, const uint16 flags, const Mask16 on,
+static inline void corner_uvs16(const SceneData *scene, const Hit16 *hit, const Rows16 *triangle, const uint16 flags, const Mask16 on,
                                 float16 u[3], float16 v[3]) {
+  const Rows16 offsets = shape_rows16(scene, as_uint16(triangle->w), SHAPE_OFFSETS, on);
   const float16 zero = 0.0f, one = 1.0f;
   const Mask16 quad = (flags & SHAPE_QUAD) != 0u;
-  const Mask16 second = quad & (hit->primitive != shape_field16(&scene->shapes->first_triangle, shape, on));
+  const Mask16 second = quad & (hit->primitive != as_uint16(offsets.z));
   u[0] = v[0] = zero;
   u[1] = v[2] = one;
   u[2] = (quad & ~second) ? one : zero;
   v[1] = second ? one : zero;
   const Mask16 own = on & ((flags & SHAPE_HAS_UVS) != 0u);
   if (any16(own)) {
-    const uint16 offset = shape_field16((const __global uint *)&scene->shapes->uv_offset, shape, own);
+    const float16 *vertices = &triangle->x;
     for (uint i = 0u; i < 3u; i++) {
-      const uint16 vertex = gather_u16(&scene->triangles->vertex[i], hit->primitive * WORDS(TriangleData), own);
-      const uint16 at = (vertex + offset) * 2u;
+      const uint16 at = (as_uint16(vertices[i]) + as_uint16(offsets.y)) * 2u;
       u[i] = own ? gather16(scene->uvs, at, own) : u[i];
       v[i] = own ? gather16(scene->uvs, at + 1u, own) : v[i];
     }
@@ -156,11 +161,13 @@ static inline Vec16 triangle_tangent16(const Vec16 a, const Vec16 b, const Vec16
 // In the frame of their tree, with normals and tangents of any length. Returns the lanes that are left to do one by one.
 static inline Mask16 triangle_surfaces16(const SceneData *scene, const Hit16 *hit, const Mask16 all, Surface16 *s, Extra16 *extra) {
   const Mask16 on = all & (hit->lane >> 3u < GATHERED_PACKETS);
-  const uint16 shape = gather_u16(&scene->triangles->shape, hit->primitive * WORDS(TriangleData), on);
-  const uint16 flags = shape_field16(&scene->shapes->flags, shape, on);
+  const Rows16 triangle = gather_rows16(scene->triangles, hit->primitive * WORDS(TriangleData), on);
+  const uint16 shape = as_uint16(triangle.w);
+  const Rows16 its = shape_rows16(scene, shape, SHAPE_MATERIAL, on);
+  const uint16 flags = as_uint16(its.z);
   const Vec16 weight = vec16(1.0f - hit->u - hit->v, hit->u, hit->v);
-  const Vec16 a = packet_corner16(scene, hit->lane, 0u, on), b = packet_corner16(scene, hit->lane, 1u, on),
-              c = packet_corner16(scene, hit->lane, 2u, on);
+  Vec16 a, b, c;
+  corners16(scene, hit->lane, on, &a, &b, &c);
   const Vec16 p = interpolate16(a, b, c, weight);
   const Vec16 terms = interpolate16(abs3_16(a), abs3_16(b), abs3_16(c), abs3_16(weight));
   const Vec16 reach = max_of16(max_of16(abs3_16(sub16(a, p)), abs3_16(sub16(b, p))), abs3_16(sub16(c, p)));
@@ -170,20 +177,20 @@ static inline Mask16 triangle_surfaces16(const SceneData *scene, const Hit16 *hi
   const Vec16 n = winding_normal16(a, b, c, &has_area);
   const Vec16 ng = where16((flags & SHAPE_FLIP) != 0u, neg16(n), n);
   extra->smooth = on & ((flags & SHAPE_HAS_NORMALS) != 0u);
-  if (any16(extra->smooth)) s->ns = vertex_normals16(scene, hit, shape, weight, extra->smooth);
+  if (any16(extra->smooth)) s->ns = vertex_normals16(scene, &triangle, shape, weight, extra->smooth);
   put_surface16(on, pulled_inside16(p, rounding, a, b, c), add16(rounding, vec16(along, along, along)), ng, shape, s);
 #if PENUMBRA_TEXTURES || GRAIN
   Mask16 ask = 0;
 #if PENUMBRA_TEXTURES
-  ask |= textured16(scene, shape, on);
+  ask |= textured16(scene, as_uint16(its.x), on);
 #endif
 #if GRAIN
-  extra->grained = grained16(scene, shape, on);
+  extra->grained = grained16(scene, as_uint16(its.x), on);
   ask |= extra->grained;
 #endif
   if (any16(ask)) {
     float16 u[3], v[3];
-    corner_uvs16(scene, hit, shape, flags, ask, u, v);
+    corner_uvs16(scene, hit, &triangle, flags, ask, u, v);
     put_uv16(ask, u[0] * weight.x + u[1] * weight.y + u[2] * weight.z, v[0] * weight.x + v[1] * weight.y + v[2] * weight.z, s);
 #if GRAIN
     s->tangent = where16(extra->grained, triangle_tangent16(a, b, c, u, v), s->tangent);
@@ -192,7 +199,7 @@ static inline Mask16 triangle_surfaces16(const SceneData *scene, const Hit16 *hi
 #endif
   Mask16 apart = ~on | !has_area;
 #if PENUMBRA_DEFORMATION
-  apart |= shape_field16(&scene->shapes->deform_count, shape, on) != 0u;
+  apart |= as_uint16(shape_rows16(scene, shape, SHAPE_DEFORMING, on).y) != 0u;
 #endif
   return all & apart;
 }
@@ -204,13 +211,11 @@ static inline Vec16 rotate_by16(const Vec16 axis, const float16 w, const Vec16 v
   return add16(add16(v, scale16(t, w)), cross16(axis, t));
 }
 
-// Tangents and uv where they are asked for. at: of the spheres' records; n: unit normals.
-static inline void sphere_directions16(const SceneData *scene, const uint16 at, const uint16 shape, const Vec16 n, const Mask16 ask,
-                                       Surface16 *s) {
+// Tangents and uv where they are asked for. q: the spheres' frames; n: unit normals.
+static inline void sphere_directions16(const Vec16 q, const uint16 flags, const Vec16 n, const Mask16 ask, Surface16 *s) {
   const float16 one = 1.0f, zero = 0.0f;
-  const Vec16 q = gather3_16(scene->spheres->frame, at, ask);
   const float16 w = safe_sqrt16(1.0f - dot16(q, q));
-  const float16 mirror = (shape_field16(&scene->shapes->flags, shape, ask) & SHAPE_FLIP) != 0u ? -one : one;
+  const float16 mirror = (flags & SHAPE_FLIP) != 0u ? -one : one;
   Vec16 own = rotate_by16(neg16(q), w, n);
   own.x *= mirror;
   s->tangent = where16(ask, rotate_by16(q, w, vec16(mirror * own.z, zero, -own.x)), s->tangent);
@@ -226,23 +231,25 @@ static inline void sphere_directions16(const SceneData *scene, const uint16 at, 
 static inline void sphere_surfaces16(const SceneData *scene, const Vec16 *o, const Vec16 *d, const Hit16 *hit, const Mask16 on,
                                      Surface16 *s, Extra16 *extra) {
   const uint16 at = hit->primitive * WORDS(SphereData);
-  const Vec16 center = gather3_16(scene->spheres->center, at, on);
-  const float16 radius = gather16(&scene->spheres->radius, at, on);
-  const uint16 shape = gather_u16(&scene->spheres->shape, at, on);
+  const Rows16 ball = gather_rows16(scene->spheres, at, on), frame = gather_rows16(scene->spheres->frame, at, on);
+  const Vec16 center = xyz16(&ball);
+  const float16 radius = ball.w;
+  const uint16 shape = as_uint16(frame.w);
   const Vec16 n = normalize16(add16(sub16(*o, center), scale16(*d, hit->t)));
   const Vec16 p_error = add16(scale16(abs3_16(n), GAMMA(10) * radius), scale16(abs3_16(center), (float16)(GAMMA(2))));
   put_surface16(on, add16(center, scale16(n, radius)), p_error, n, shape, s);
 #if PENUMBRA_TEXTURES || GRAIN
+  const Rows16 its = shape_rows16(scene, shape, SHAPE_MATERIAL, on);
   Mask16 ask = 0;
 #if PENUMBRA_TEXTURES
-  ask |= textured16(scene, shape, on);
+  ask |= textured16(scene, as_uint16(its.x), on);
 #endif
 #if GRAIN
-  const Mask16 grained = grained16(scene, shape, on);
+  const Mask16 grained = grained16(scene, as_uint16(its.x), on);
   extra->grained |= grained;
   ask |= grained;
 #endif
-  if (any16(ask)) sphere_directions16(scene, at, shape, n, ask, s);
+  if (any16(ask)) sphere_directions16(xyz16(&frame), as_uint16(its.z), n, ask, s);
 #endif
 }
 
@@ -252,24 +259,26 @@ static inline Vec16 along_axes16(const Vec16 start, const Vec16 u, const float16
 
 static inline void disc_surfaces16(const SceneData *scene, const Hit16 *hit, const Mask16 on, Surface16 *s, Extra16 *extra) {
   const uint16 at = hit->primitive * WORDS(DiscData);
-  const Vec16 center = gather3_16(scene->discs->center, at, on);
-  const Vec16 u = gather3_16(scene->discs->u, at, on), v = gather3_16(scene->discs->v, at, on);
-  const uint16 shape = gather_u16(&scene->discs->shape, at, on);
+  const Rows16 middle = gather_rows16(scene->discs, at, on);
+  const Rows16 first = gather_rows16(scene->discs->u, at, on), second = gather_rows16(scene->discs->v, at, on);
+  const Vec16 center = xyz16(&middle), u = xyz16(&first), v = xyz16(&second);
+  const uint16 shape = as_uint16(middle.w);
   const Vec16 terms = add16(add16(abs3_16(center), abs3_16(scale16(u, hit->u))), abs3_16(scale16(v, hit->v)));
   const float16 along = GAMMA(16) * max3_16(add16(abs3_16(u), abs3_16(v)));
   const Vec16 n = normalize16(cross16(normalize16(u), normalize16(v)));
   put_surface16(on, along_axes16(center, u, hit->u, v, hit->v),
                 add16(scale16(terms, (float16)(GAMMA(4))), vec16(along, along, along)), n, shape, s);
 #if PENUMBRA_TEXTURES || GRAIN
-  const float16 c = gather16(&scene->discs->u[3], at, on), t = gather16(&scene->discs->v[3], at, on);
+  const float16 c = first.w, t = second.w;
+  const Rows16 its = shape_rows16(scene, shape, SHAPE_MATERIAL, on);
 #endif
 #if PENUMBRA_TEXTURES
   const float16 a = c * hit->u - t * hit->v, b = t * hit->u + c * hit->v;
-  const Mask16 flip = (shape_field16(&scene->shapes->flags, shape, on) & SHAPE_FLIP) != 0u;
+  const Mask16 flip = (as_uint16(its.z) & SHAPE_FLIP) != 0u;
   put_uv16(on, 0.5f + 0.5f * a, 0.5f + 0.5f * (flip ? -b : b), s);
 #endif
 #if GRAIN
-  extra->grained |= grained16(scene, shape, on);
+  extra->grained |= grained16(scene, as_uint16(its.x), on);
   s->tangent = where16(on, sub16(scale16(u, c), scale16(v, t)), s->tangent);
 #endif
 }
@@ -278,23 +287,24 @@ static inline void disc_surfaces16(const SceneData *scene, const Hit16 *hit, con
 static inline Mask16 plane_surfaces16(const SceneData *scene, const Ray16 *ray, const Hit16 *hit, const Mask16 on, Surface16 *s,
                                       Extra16 *extra) {
   const uint16 at = hit->primitive * WORDS(PlaneData);
-  const Vec16 point = gather3_16(scene->planes->point, at, on), normal = gather3_16(scene->planes->normal, at, on);
-  const uint16 shape = gather_u16(&scene->planes->shape, at, on);
+  const Rows16 origin = gather_rows16(scene->planes, at, on), upright = gather_rows16(scene->planes->normal, at, on);
+  const Vec16 point = xyz16(&origin), normal = xyz16(&upright);
+  const uint16 shape = as_uint16(origin.w);
   const Vec16 start = add16(ray->o, scale16(ray->d, hit->t));
   const Vec16 p = sub16(start, scale16(normal, dot16(sub16(start, point), normal)));
   const Vec16 from_point = sub16(p, point);
   const float16 error = GAMMA(8) * (max3_16(abs3_16(p)) + max3_16(abs3_16(from_point)));
   put_surface16(on, p, vec16(error, error, error), normal, shape, s);
 #if PENUMBRA_TEXTURES || GRAIN
-  const Vec16 v = gather3_16(scene->planes->tangent_v, at, on);
+  const Rows16 up = gather_rows16(scene->planes->tangent_v, at, on);
+  const Vec16 v = xyz16(&up);
 #endif
 #if PENUMBRA_TEXTURES
-  const Vec16 u = gather3_16(scene->planes->tangent_u, at, on);
-  put_uv16(on, dot16(from_point, u) + gather16(&scene->planes->tangent_u[3], at, on),
-           dot16(from_point, v) + gather16(&scene->planes->tangent_v[3], at, on), s);
+  const Rows16 along = gather_rows16(scene->planes->tangent_u, at, on);
+  put_uv16(on, dot16(from_point, xyz16(&along)) + along.w, dot16(from_point, v) + up.w, s);
 #endif
 #if GRAIN
-  extra->grained |= grained16(scene, shape, on);
+  extra->grained |= grained16(scene, as_uint16(shape_rows16(scene, shape, SHAPE_MATERIAL, on).x), on);
   s->tangent = where16(on, cross16(v, normal), s->tangent);
 #endif
 #if PENUMBRA_MOTION

@@ -110,7 +110,7 @@ static inline void leave16(const SceneData *scene, const __global Params *params
 static inline void meet_lights16(const SceneData *scene, const __global Params *params, const Hit16 *hit,
                                  const Surface16 *surface, const Vec16 wo, Mask16 on, Paths16 *p) {
 #if PENUMBRA_AREA_LIGHTS
-  const uint16 light = shape_field16(&scene->shapes->light, surface->shape, on);
+  const uint16 light = as_uint16(shape_rows16(scene, surface->shape, SHAPE_MATERIAL, on).y);
   on &= (light != NONE);
   if (!any16(on)) return;
   const Lights16 lights = lights16(scene, light, on);
@@ -214,12 +214,12 @@ static inline Mask16 light_rays16(const SceneData *scene, const Surface16 *surfa
   const float16 one = 1.0f;
   const float16 weight = use_mis & ~delta ? power_heuristic16(chance * sample.pdf, lobe_pdf) : one;
   const Mask16 near = come & (sample.distance < INF_F);
-  out->ray = spawn_ray16(surface, sample.wi, time);
-  if (any16(near)) {
-    const Ray16 to = spawn_ray_to16(surface, sample.p, sample.p_error, sample.n, time);
-    out->ray.o = where16(near, to.o, out->ray.o);
-    out->ray.d = where16(near, to.d, out->ray.d);
-    out->ray.tmax = near ? to.tmax : out->ray.tmax;
+  if (any16(near)) out->ray = spawn_ray_to16(surface, sample.p, sample.p_error, sample.n, time);
+  if (any16(come & ~near)) {
+    const Ray16 away = spawn_ray16(surface, sample.wi, time);
+    out->ray.o = where16(near, out->ray.o, away.o);
+    out->ray.d = where16(near, out->ray.d, away.d);
+    out->ray.tmax = near ? out->ray.tmax : away.tmax;
   }
   out->value = scale16(value, weight / sample.pdf);
   out->effect = delta ? (uint16)(EFFECT_DELTA_LIGHT) : (uint16)(EFFECT_AREA_LIGHT);

@@ -5,8 +5,11 @@
 #include "lights/tree16.cl"
 #endif
 
-
 #if PENUMBRA_MANY_LIGHTS
+static inline float16 table_pmf16(const SceneData *scene, const uint16 light, const Mask16 on) {
+  return gather_rows16(scene->light_table, light * WORDS(Alias), on).z;
+}
+
 static inline uint16 table_choose16(const SceneData *scene, const float16 u, const Mask16 on, float16 *pmf) {
   const uint count = light_entries(scene);
   *pmf = 0.0f;
@@ -14,9 +17,9 @@ static inline uint16 table_choose16(const SceneData *scene, const float16 u, con
   const uint16 number = as_uint16(to_int16(u * 0x1p24f));
   const uint16 entry = multiply_high16(number << 8u, count);
   const float16 rest = to_float16(as_int16(number * count & 0xffffffu)) * 0x1p-24f;
-  const Mask16 stays = rest < gather16(&scene->light_table->threshold, entry * WORDS(Alias), on);
-  const uint16 light = stays ? entry : gather_u16(&scene->light_table->other, entry * WORDS(Alias), on);
-  *pmf = gather16(&scene->light_table->pmf, light * WORDS(Alias), on);
+  const Rows16 alias = gather_rows16(scene->light_table, entry * WORDS(Alias), on);
+  const uint16 light = rest < alias.x ? entry : as_uint16(alias.y);
+  *pmf = table_pmf16(scene, light, on);
   return light;
 }
 #endif
@@ -41,7 +44,7 @@ static inline float16 light_pmf16(const SceneData *scene, const Receiver16 *rece
   if (scene->light_tree) return light_tree_pmf16(scene, receiver, light, on);
 #endif
 #if PENUMBRA_MANY_LIGHTS
-  return gather16(&scene->light_table->pmf, light * WORDS(Alias), on);
+  return table_pmf16(scene, light, on);
 #else
   return (float16)(1.0f);
 #endif

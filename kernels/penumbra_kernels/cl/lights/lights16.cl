@@ -8,14 +8,10 @@
 #include "lights/sphere16.cl"
 #include "lights/environment16.cl"
 
-static inline uint16 light_types16(const Lights16 *lights, const Mask16 on) {
-  return light_words16(lights, &lights->records->type, on);
-}
-
 #if PENUMBRA_AREA_LIGHTS
 static inline Mask16 in_place16(const Lights16 *lights, const Mask16 on) {
 #if PENUMBRA_INSTANCING
-  return on & (light_words16(lights, &lights->records->instance, on) == NONE);
+  return on & (lights->instance == NONE);
 #else
   return on;
 #endif
@@ -23,7 +19,7 @@ static inline Mask16 in_place16(const Lights16 *lights, const Mask16 on) {
 
 // The lanes of `on` whose lights the functions of quads and of spheres serve.
 static inline void shapes16(const Lights16 *lights, const Mask16 on, Mask16 *quads, Mask16 *spheres) {
-  const uint16 type = light_types16(lights, on);
+  const uint16 type = lights->type;
   const Mask16 here = in_place16(lights, on);
   *quads = here & (type == LIGHT_QUAD);
 #if PENUMBRA_LIGHT_AREA_SAMPLING
@@ -46,7 +42,7 @@ static inline void shapes16(const Lights16 *lights, const Mask16 on, Mask16 *qua
 // light_has_extent and light_has_triangles of each lane's light.
 static inline Mask16 lights_have_extent16(const Lights16 *lights, const Mask16 on) {
 #if PENUMBRA_DELTA_LIGHTS && (PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT)
-  const uint16 type = light_types16(lights, on);
+  const uint16 type = lights->type;
   return (type != LIGHT_POINT) & (type != LIGHT_SPOT) & (type != LIGHT_DIRECTIONAL);
 #elif PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT
   return (Mask16)(-1);
@@ -57,7 +53,7 @@ static inline Mask16 lights_have_extent16(const Lights16 *lights, const Mask16 o
 
 static inline Mask16 lights_have_triangles16(const Lights16 *lights, const Mask16 on) {
 #if PENUMBRA_AREA_LIGHTS
-  return light_types16(lights, on) == LIGHT_MESH;
+  return lights->type == LIGHT_MESH;
 #else
   return (Mask16)(0);
 #endif
@@ -97,7 +93,7 @@ static inline Mask16 light_sample16(const SceneData *scene, const Lights16 *ligh
     choose_samples16(spheres, &sample, out);
   }
   left &= ~(quads | spheres);
-  if (any16(on & ~left)) out->radiance = light_vectors16(lights, lights->records->radiance, on);
+  if (any16(on & ~left)) out->radiance = radiance16(lights, on);
 #endif
 #if PENUMBRA_ENVIRONMENT
   const Mask16 sky = left & (lights->number == scene->environment_light);
@@ -117,8 +113,8 @@ static inline Mask16 light_sample16(const SceneData *scene, const Lights16 *ligh
 // light_emitted of lanes on surfaces of lights.
 static inline Vec16 light_emitted16(const Lights16 *lights, const Vec16 ng, const Vec16 wo, const Mask16 on) {
 #if PENUMBRA_AREA_LIGHTS
-  const Mask16 shines = two_sided16(lights, on) | (dot16(ng, wo) > 0.0f);
-  return where16(shines, light_vectors16(lights, lights->records->radiance, on), all16((float3)(0.0f)));
+  const Mask16 shines = two_sided16(lights) | (dot16(ng, wo) > 0.0f);
+  return where16(shines, radiance16(lights, on), all16((float3)(0.0f)));
 #else
   return all16((float3)(0.0f));
 #endif

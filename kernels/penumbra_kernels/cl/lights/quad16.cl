@@ -20,11 +20,13 @@ typedef struct {
 } QuadView16;
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void quads16(const Lights16 *lights, const Mask16 *on, Quad16 *q) {
-  q->o = light_vectors16(lights, lights->records->position, *on);
-  q->u = light_vectors16(lights, lights->records->direction, *on);
-  q->v = light_vectors16(lights, lights->records->axis_v, *on);
+  const Rows16 o = light_rows16(lights, lights->records->position, *on), u = light_rows16(lights, lights->records->direction, *on),
+               v = light_rows16(lights, lights->records->axis_v, *on);
+  q->o = xyz16(&o);
+  q->u = xyz16(&u);
+  q->v = xyz16(&v);
   q->p_error = scale16(add16(add16(abs3_16(q->o), abs3_16(q->u)), abs3_16(q->v)), PLACED_ERROR);
-  q->two_sided = two_sided16(lights, *on);
+  q->two_sided = two_sided16(lights);
   const Vec16 cross = cross16(q->u, q->v);
   q->area = length16(cross);
   q->n = scale16(cross, 1.0f / q->area);

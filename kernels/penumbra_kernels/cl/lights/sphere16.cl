@@ -13,9 +13,10 @@ typedef struct {
 
 // The lanes of `on` that see an emitting side.
 static inline Mask16 sphere_view16(const Lights16 *lights, const Vec16 p, const Mask16 on, SphereView16 *view) {
-  const float16 radius = light_numbers_of16(lights, &lights->records->inner, on);
+  const Rows16 center = light_rows16(lights, lights->records->position, on);
+  const float16 radius = light_rows16(lights, lights->records->direction, on).w;
   view->radius = radius;
-  view->center = light_vectors16(lights, lights->records->position, on);
+  view->center = xyz16(&center);
   const float16 all_around = 2.0f;
   view->to_center = sub16(view->center, p);
   view->distance = length16(view->to_center);
@@ -25,7 +26,7 @@ static inline Mask16 sphere_view16(const Lights16 *lights, const Vec16 p, const 
   view->sin_max = ratio;
   view->one_minus_cos = view->inside ? all_around : ratio * ratio / (1.0f + cosine);
   view->pdf = INV_2PI_F / view->one_minus_cos;
-  return on & (two_sided16(lights, on) | ~view->inside);
+  return on & (two_sided16(lights) | ~view->inside);
 }
 
 static inline Vec16 cone_normal16(const SphereView16 *view, const Vec16 w, const Vec16 t, const float16 one_minus_cos,

@@ -15,33 +15,6 @@ typedef struct {
   uint16 child[CHILDREN], count[CHILDREN];
 } LightNode16;
 
-#if PENUMBRA_BUILTINS
-#define SHUFFLE16(a, b, i, j, k, l)                                                                      \
-  __builtin_shufflevector(a, b, i, j, k, l, i + 4, j + 4, k + 4, l + 4, i + 8, j + 8, k + 8, l + 8, i + 12, j + 12, \
-                          k + 12, l + 12)
-// Rows of four numbers, one a lane, as four columns of sixteen.
-static inline void columns16(const __global float *from, const uint *row, float16 *out) {
-  float16 r[4];
-  for (uint i = 0u; i < 4u; i++) {
-    r[i].s0123 = *(const __global float4 *)(from + row[i]);
-    r[i].s4567 = *(const __global float4 *)(from + row[i + 4u]);
-    r[i].s89ab = *(const __global float4 *)(from + row[i + 8u]);
-    r[i].scdef = *(const __global float4 *)(from + row[i + 12u]);
-  }
-  const float16 a = SHUFFLE16(r[0], r[1], 0, 16, 1, 17), b = SHUFFLE16(r[2], r[3], 0, 16, 1, 17);
-  const float16 c = SHUFFLE16(r[0], r[1], 2, 18, 3, 19), d = SHUFFLE16(r[2], r[3], 2, 18, 3, 19);
-  out[0] = SHUFFLE16(a, b, 0, 1, 16, 17);
-  out[1] = SHUFFLE16(a, b, 2, 3, 18, 19);
-  out[2] = SHUFFLE16(c, d, 0, 1, 16, 17);
-  out[3] = SHUFFLE16(c, d, 2, 3, 18, 19);
-}
-#else
-static inline void columns16(const __global float *from, const uint *row, float16 *out) {
-  for (uint c = 0u; c < 4u; c++)
-    for (uint k = 0u; k < LANES; k++) LANE_F(out[c], k) = from[row[k] + c];
-}
-#endif
-
 // Whether any lane's node has a child number c: nodes fill from the first one on, and those at the bottom are seldom full.
 static inline bool has_child16(const LightNode16 *nodes, const uint c, const Mask16 on) {
   return any16(on & (nodes->count[c] != 0u));
@@ -57,10 +30,10 @@ static inline void load_nodes16(const SceneData *scene, const uint16 word, const
     for (uint i = 0u; i < WORDS(LightNode); i++) out[i] = from[first + i];
     return;
   }
-  const uint *rows = (const uint *)&row, counts = WORDS(LightNode) - CHILDREN;
-  for (uint i = counts; i < WORDS(LightNode); i += 4u) columns16(from + i, rows, out + i);
+  const uint counts = WORDS(LightNode) - CHILDREN;
+  for (uint i = counts; i < WORDS(LightNode); i += 4u) *(Rows16 *)(out + i) = gather_rows16(from + i, row, on);
   const uint step = has_child16(nodes, 4u, on) ? 4u : CHILDREN;
-  for (uint i = 0u; i < counts; i += step) columns16(from + i, rows, out + i);
+  for (uint i = 0u; i < counts; i += step) *(Rows16 *)(out + i) = gather_rows16(from + i, row, on);
 }
 
 static inline float16 sine_of16(const float16 cosine) { return safe_sqrt16(1.0f - cosine * cosine); }

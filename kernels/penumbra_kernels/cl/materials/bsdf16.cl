@@ -104,8 +104,8 @@ static inline void material_gloss16(const __global Material *material, const Mas
 // Type, colours and widths, material by material: those that sixteen lanes meet are few.
 static inline void bsdf_materials16(const SceneData *scene, const Surface16 *surface, const Vec16 wo, const Mask16 on, Bsdf16 *b,
                                     float16 *rotation) {
-  const uint stride = sizeof(ShapeData) / sizeof(uint);
-  const uint16 index = gather_u16(&scene->shapes->material, surface->shape * stride, on);
+  const Rows16 shapes = gather_rows16(scene->shapes, surface->shape * WORDS(ShapeData), on);
+  const uint16 index = as_uint16(shapes.x);
   const float16 zero = 0.0f;
   b->color0 = vec16(zero, zero, zero);
   b->type = MATERIAL_BLACK;
