@@ -143,6 +143,15 @@ PACKET8: Final = np.dtype(
     ]
 )
 
+PACKET_CORNERS: Final = np.dtype(
+    [
+        ("corner", np.float32, (24, 4)),  # x, y, z of each corner once, and 0
+        ("index", np.uint8, (24,)),  # 3 i + k: where corner k of triangle i stands
+        ("corners", np.uint32),
+        ("triangles", np.uint32),
+    ]
+)
+
 COMPACT_NODE: Final = np.dtype(
     [
         ("lo_x", np.uint8, (8,)),  # planes in steps of 2^(exponent - 127) from the origin
@@ -339,6 +348,7 @@ STRUCTS: Final[dict[str, np.dtype[Any]]] = {
     "Instance": INSTANCE,
     "Node8": NODE8,
     "Packet8": PACKET8,
+    "PacketCorners": PACKET_CORNERS,
     "CompactNode": COMPACT_NODE,
     "CompactTriangle": COMPACT_TRIANGLE,
     "SphereData": SPHERE,

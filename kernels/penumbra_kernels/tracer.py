@@ -51,6 +51,7 @@ ARGUMENTS: Final[tuple[tuple[str, Callable[[Flags], bool]], ...]] = (
     ("shutter_table", _has("MOTION", "CAMERA_MOTION", "DEFORMATION")),
     ("nodes", _always),
     ("packets", _always),
+    ("corners", _always),
     ("shapes", _always),
     ("triangles", _always),
     ("positions", _always),

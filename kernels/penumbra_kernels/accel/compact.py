@@ -24,12 +24,13 @@ _ROUNDS: Final = 4
 
 
 def tree_arrays(arrays: Mapping[str, NDArray[Any]], flags: Mapping[str, int]) -> dict[str, NDArray[Any]]:
-    """A scene's arrays with `nodes` and `packets` in the layout that the device's flags ask for."""
+    """A scene's arrays with `nodes` and `packets` in the layout that the device's flags ask for; lanes alone need `corners`."""
     if not flags.get("PENUMBRA_COMPACT_TREE", 0):
         return dict(arrays)
     compact = {
         "nodes": compact_nodes(arrays["nodes"]),
         "packets": compact_triangles(arrays["packets"]),
+        "corners": arrays["corners"][:0],
     }
     return {**arrays, **compact}
 

@@ -173,6 +173,14 @@ typedef struct {
 // sizeof(Packet8) == 320
 
 typedef struct {
+  float corner[24][4];
+  uchar index[24];
+  uint corners;
+  uint triangles;
+} PacketCorners;
+// sizeof(PacketCorners) == 416
+
+typedef struct {
   uchar lo_x[8];
   uchar hi_x[8];
   uchar lo_y[8];

@@ -32,6 +32,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
                     const __global float *shutter_table,
 #endif
                     const __global TreeNode *nodes, const __global TreeTriangles *packets,
+                    const __global PacketCorners *corners,
                     const __global ShapeData *shapes, const __global TriangleData *triangles,
                     const __global float *positions, const __global float *normals, const __global float *uvs,
                     const __global Material *materials, const __global Light *lights,
@@ -82,6 +83,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   SceneData scene;
   scene.nodes = nodes;
   scene.packets = packets;
+  scene.corners = (params->options & OPTION_TOGETHER) ? corners : 0;
   scene.shapes = shapes;
   scene.triangles = triangles;
   scene.positions = positions;

@@ -44,6 +44,7 @@ from penumbra_kernels.compile.primitives import (
     add_sphere,
     add_triangles,
 )
+from penumbra_kernels.compile.together import packet_corners, together
 from penumbra_kernels.compile.transforms import is_animated, is_similarity
 from penumbra_kernels.layout import CONSTANTS, INSTANCE, KEYFRAME, SHAPE
 
@@ -88,7 +89,7 @@ class CompiledGeometry:
     """Everything that intersect and surface_at read."""
 
     arrays: dict[str, NDArray[Any]]
-    """nodes, packets, spheres, discs, planes, instances, times, shapes, triangles, positions, normals,
+    """nodes, packets, corners, spheres, discs, planes, instances, times, shapes, triangles, positions, normals,
     uvs."""
     keyframes: NDArray[Any]
     """(n,) of KEYFRAME, those of instances and planes; indices count from its start."""
@@ -397,7 +398,8 @@ class _Compiler:
     def _result(self, root: int) -> CompiledGeometry:
         arrays = self.vertices.arrays()
         arrays["nodes"] = _joined([tree.nodes for tree in self.trees])
-        arrays["packets"] = _joined(self.packets)
+        arrays["packets"] = packets = _joined(self.packets)
+        arrays["corners"] = packet_corners(packets if together(arrays) else packets[:0])
         arrays["instances"] = np.array(self.instances, INSTANCE)
         arrays["shapes"] = np.array(self.shapes, SHAPE)
         planes, triangles = len(arrays["planes"]), len(arrays["triangles"])

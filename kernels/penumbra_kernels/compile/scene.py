@@ -90,7 +90,7 @@ def compile_scene(
     params["options"] |= CONSTANTS["OPTION_LIGHT_TREE"] if "light_tree" in features else 0
     if "area_lights" in features or "environment" in features:
         params["options"] |= CONSTANTS["OPTION_LIGHTS_TO_MEET"]
-    params["options"] |= together(geometry)
+    params["options"] |= together(geometry.arrays)
     params["environment_light"] = lights.environment_light
     return CompiledScene(arrays, params, features, geometry.triangle_count, lights.light_count)
 

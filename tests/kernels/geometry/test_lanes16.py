@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from penumbra_kernels.compile.together import packet_corners
 from penumbra_kernels.device import Device
 from penumbra_kernels.hardcases.benches import geometry as kit
 from penumbra_kernels.hardcases.benches.geometry import BUFFERS, EFFECTS, NONE
@@ -27,7 +28,8 @@ ANSWER = np.dtype(
     ]
 )  # fmt: skip
 
-# A work-item takes sixteen rays; answers come in threes: together, in flight, and alone. Lanes that are off leave 0.
+# A work-item takes sixteen rays, every second one with the corners that triangles share; answers come in threes: together, in
+# flight, and alone. Lanes that are off leave 0.
 TEXT = """
 #include "geometry/rays16.cl"
 #include "geometry/surface16.cl"
@@ -87,7 +89,8 @@ static void lane_answers(const SceneData *scene, const bool together, const Ray1
   }
 }
 
-__kernel void probe(const __global TreeNode *nodes, const __global TreeTriangles *packets, const __global ShapeData *shapes,
+__kernel void probe(const __global PacketCorners *corners, const __global TreeNode *nodes,
+                    const __global TreeTriangles *packets, const __global ShapeData *shapes,
                     const __global TriangleData *triangles, const __global float *positions,
                     const __global float *normals, const __global float *uvs, const __global SphereData *spheres,
                     const __global DiscData *discs, const __global PlaneData *planes,
@@ -98,6 +101,7 @@ __kernel void probe(const __global TreeNode *nodes, const __global TreeTriangles
   SceneData scene;
   scene.nodes = nodes;
   scene.packets = packets;
+  scene.corners = get_global_id(0) & 1u ? corners : 0;
   scene.shapes = shapes;
   scene.triangles = triangles;
   scene.positions = positions;
@@ -165,7 +169,8 @@ class Lanes:
         arrays = dict(geometry.arrays)
         arrays["shapes"] = arrays["shapes"].copy()
         arrays["shapes"]["material"] = np.arange(len(arrays["shapes"])) % 3
-        buffers = [device.upload(arrays[name]) for name in BUFFERS]
+        arrays["corners"] = packet_corners(arrays["packets"])
+        buffers = [device.upload(arrays[name]) for name in ("corners", *BUFFERS)]
         buffers += [device.upload(a) for a in (geometry.keyframes, arrays["times"], materials())]
         answers = np.zeros((len(rays), 3), ANSWER)
         out = device.upload(answers)

@@ -48,6 +48,8 @@ def _walk(tree: Tree, items: Items) -> tuple[list[int], int]:
             leaf(word, lo, hi)
             return 0
         record = tree.nodes[word]
+        empty = record["child"] == LEAF
+        assert np.all(empty[:-1] <= empty[1:])  # those that are there come first
         below, used = 0, 0
         for j in range(8):
             child = int(record["child"][j])

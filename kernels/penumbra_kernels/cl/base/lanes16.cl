@@ -11,8 +11,10 @@ typedef int16 Mask16;  // a lane's condition: all bits set, or none
 // Lets a compiler use registers of 512 bits where the processor has them; left alone, LLVM halves such vectors. For kernels, and for
 // functions that are kept out of them.
 #if PENUMBRA_X86 && defined(__AVX512F__)
+#define PENUMBRA_512 1
 #define PENUMBRA_WIDE __attribute__((min_vector_width(512)))
 #else
+#define PENUMBRA_512 0
 #define PENUMBRA_WIDE
 #endif
 

@@ -51,6 +51,7 @@ typedef Packet8 TreeTriangles;
 typedef struct {
   const __global TreeNode *nodes;
   const __global TreeTriangles *packets;
+  const __global PacketCorners *corners;  // of each packet, where all trees are small (compile/together.py), or null
   const __global SphereData *spheres;
   const __global DiscData *discs;
   const __global PlaneData *planes;

@@ -43,12 +43,38 @@ static inline int8 sort8(int8 v) {
   return in_order8(v, v.s10325476, of_two);
 }
 
+// The near and far planes of each ray's boxes, as in WideRay.
+typedef struct {
+  float16 near_ox, near_oy, near_oz, far_ox, far_oy, far_oz;
+  float16 near_rx, near_ry, near_rz, far_rx, far_ry, far_rz;
+  uint16 near_x, near_y, near_z;
+} Slabs16;
+
+static inline void slabs16(const WideRay16 *w, Slabs16 *s) {
+  const Mask16 back_x = as_int16(w->rx) < 0, back_y = as_int16(w->ry) < 0, back_z = as_int16(w->rz) < 0;
+  s->near_ox = back_x ? w->hi_ox : w->lo_ox;
+  s->near_oy = back_y ? w->hi_oy : w->lo_oy;
+  s->near_oz = back_z ? w->hi_oz : w->lo_oz;
+  s->far_ox = back_x ? w->lo_ox : w->hi_ox;
+  s->far_oy = back_y ? w->lo_oy : w->hi_oy;
+  s->far_oz = back_z ? w->lo_oz : w->hi_oz;
+  s->near_rx = w->rx;
+  s->near_ry = w->ry;
+  s->near_rz = w->rz;
+  s->far_rx = w->rx * FAR_FACTOR;
+  s->far_ry = w->ry * FAR_FACTOR;
+  s->far_rz = w->rz * FAR_FACTOR;
+  s->near_x = as_uint16(back_x & 8);
+  s->near_y = as_uint16(16 + (back_y & 8));
+  s->near_z = as_uint16(32 + (back_z & 8));
+}
+
 // Where each ray is. Children wait under keys: t at which the ray enters, its last three bits replaced by the child's number.
 typedef struct {
-  WideRay16 wide;     // in the frame of the tree that the ray is in
-  uint16 kx, ky, kz;  // its axes, as in RayAxes
+  WideRay16 wide;  // in the frame of the tree that the ray is in, of what triangles ask for
+  Slabs16 slabs;
 #if PENUMBRA_ROUND || PENUMBRA_INSTANCING
-  Vec16 o, d;         // the same
+  Vec16 o, d;
 #endif
   uint instance[LANES];
   Hit best[LANES];
@@ -69,41 +95,26 @@ static inline void push_child(Flight *f, const uint k, const int key, const uint
   f->words[k][f->size[k]++] = word;
 }
 
-// Ray k as wide_ray prepares it: for triangles, and all of it.
-static inline RayAxes flying_axes(const Flight *f, const uint k) {
-  const WideRay16 *w = &f->wide;
-  RayAxes r;
-  r.kx = LANE_U(f->kx, k);
-  r.ky = LANE_U(f->ky, k);
-  r.kz = LANE_U(f->kz, k);
-  r.ox = LANE_F(w->okx, k);
-  r.oy = LANE_F(w->oky, k);
-  r.oz = LANE_F(w->okz, k);
-  r.sx = LANE_F(w->sx, k);
-  r.sy = LANE_F(w->sy, k);
-  r.sz = LANE_F(w->sz, k);
-  return r;
-}
-
+// Ray k as wide_ray prepares it.
 static inline WideRay flying_ray(const Flight *f, const uint k) {
-  const WideRay16 *w = &f->wide;
+  const Slabs16 *s = &f->slabs;
   WideRay out;
-  out.near_ox = LANE_F(w->near_ox, k);
-  out.near_oy = LANE_F(w->near_oy, k);
-  out.near_oz = LANE_F(w->near_oz, k);
-  out.far_ox = LANE_F(w->far_ox, k);
-  out.far_oy = LANE_F(w->far_oy, k);
-  out.far_oz = LANE_F(w->far_oz, k);
-  out.near_rx = LANE_F(w->near_rx, k);
-  out.near_ry = LANE_F(w->near_ry, k);
-  out.near_rz = LANE_F(w->near_rz, k);
-  out.far_rx = LANE_F(w->far_rx, k);
-  out.far_ry = LANE_F(w->far_ry, k);
-  out.far_rz = LANE_F(w->far_rz, k);
-  out.near_x = LANE_U(w->back_x, k) & 8u;
-  out.near_y = 16u + (LANE_U(w->back_y, k) & 8u);
-  out.near_z = 32u + (LANE_U(w->back_z, k) & 8u);
-  out.axes = flying_axes(f, k);
+  out.near_ox = LANE_F(s->near_ox, k);
+  out.near_oy = LANE_F(s->near_oy, k);
+  out.near_oz = LANE_F(s->near_oz, k);
+  out.far_ox = LANE_F(s->far_ox, k);
+  out.far_oy = LANE_F(s->far_oy, k);
+  out.far_oz = LANE_F(s->far_oz, k);
+  out.near_rx = LANE_F(s->near_rx, k);
+  out.near_ry = LANE_F(s->near_ry, k);
+  out.near_rz = LANE_F(s->near_rz, k);
+  out.far_rx = LANE_F(s->far_rx, k);
+  out.far_ry = LANE_F(s->far_ry, k);
+  out.far_rz = LANE_F(s->far_rz, k);
+  out.near_x = LANE_U(s->near_x, k);
+  out.near_y = LANE_U(s->near_y, k);
+  out.near_z = LANE_U(s->near_z, k);
+  out.axes = lane_axes(&f->wide, k);
 #if PENUMBRA_ROUND || PENUMBRA_INSTANCING
   out.o = lane3(&f->o, k);
   out.d = lane3(&f->d, k);
@@ -144,25 +155,26 @@ static inline void end_ray(Flight *f, const uint k) {
 #if PENUMBRA_INSTANCING
 // Ray k goes on in another frame.
 static inline void set_frame(Flight *f, const uint k, const WideRay *w, const uint instance) {
+  Slabs16 *slabs = &f->slabs;
   WideRay16 *to = &f->wide;
-  LANE_F(to->near_ox, k) = w->near_ox.s0;
-  LANE_F(to->near_oy, k) = w->near_oy.s0;
-  LANE_F(to->near_oz, k) = w->near_oz.s0;
-  LANE_F(to->far_ox, k) = w->far_ox.s0;
-  LANE_F(to->far_oy, k) = w->far_oy.s0;
-  LANE_F(to->far_oz, k) = w->far_oz.s0;
-  LANE_F(to->near_rx, k) = w->near_rx.s0;
-  LANE_F(to->near_ry, k) = w->near_ry.s0;
-  LANE_F(to->near_rz, k) = w->near_rz.s0;
-  LANE_F(to->far_rx, k) = w->far_rx.s0;
-  LANE_F(to->far_ry, k) = w->far_ry.s0;
-  LANE_F(to->far_rz, k) = w->far_rz.s0;
-  LANE_I(to->back_x, k) = w->near_x & 8u ? -1 : 0;
-  LANE_I(to->back_y, k) = w->near_y & 8u ? -1 : 0;
-  LANE_I(to->back_z, k) = w->near_z & 8u ? -1 : 0;
-  LANE_U(f->kx, k) = w->axes.kx;
-  LANE_U(f->ky, k) = w->axes.ky;
-  LANE_U(f->kz, k) = w->axes.kz;
+  LANE_F(slabs->near_ox, k) = w->near_ox.s0;
+  LANE_F(slabs->near_oy, k) = w->near_oy.s0;
+  LANE_F(slabs->near_oz, k) = w->near_oz.s0;
+  LANE_F(slabs->far_ox, k) = w->far_ox.s0;
+  LANE_F(slabs->far_oy, k) = w->far_oy.s0;
+  LANE_F(slabs->far_oz, k) = w->far_oz.s0;
+  LANE_F(slabs->near_rx, k) = w->near_rx.s0;
+  LANE_F(slabs->near_ry, k) = w->near_ry.s0;
+  LANE_F(slabs->near_rz, k) = w->near_rz.s0;
+  LANE_F(slabs->far_rx, k) = w->far_rx.s0;
+  LANE_F(slabs->far_ry, k) = w->far_ry.s0;
+  LANE_F(slabs->far_rz, k) = w->far_rz.s0;
+  LANE_U(slabs->near_x, k) = w->near_x;
+  LANE_U(slabs->near_y, k) = w->near_y;
+  LANE_U(slabs->near_z, k) = w->near_z;
+  LANE_U(to->kx, k) = w->axes.kx;
+  LANE_U(to->ky, k) = w->axes.ky;
+  LANE_U(to->kz, k) = w->axes.kz;
   LANE_F(to->okx, k) = w->axes.ox.s0;
   LANE_F(to->oky, k) = w->axes.oy.s0;
   LANE_F(to->okz, k) = w->axes.oz.s0;
@@ -238,7 +250,7 @@ static inline uint meet_packets(const SceneData *scene, const Flight *f, const b
   uint hits = 0u;
   for (uint i = 0u; i < count; i++) {
     const uint k = m->lane[i];
-    const RayAxes axes = flying_axes(f, k);
+    const RayAxes axes = lane_axes(&f->wide, k);
     EightTriangles e;
     load_triangles(scene->packets + m->packet[i], &axes, &e);
     const uint mask = meet_triangles(&e, &axes, f->best[k].t, any, false, m->t + hits, m->u + hits, m->v + hits);
@@ -302,10 +314,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE Mask16 fly16(const SceneData *scene, cons
   Flight f[1];
   uint flying[LANES + 1u], count = 0u;
   wide_ray16(&rays->o, &rays->d, &f->wide);
-  const uint16 x = 0u, y = 1u, z = 2u;
-  f->kx = NEXT(&f->wide, x, y, z);
-  f->ky = AFTER(&f->wide, x, y, z);
-  f->kz = ALONG(&f->wide, x, y, z);
+  slabs16(&f->wide, &f->slabs);
 #if PENUMBRA_ROUND || PENUMBRA_INSTANCING
   f->o = rays->o;
   f->d = rays->d;

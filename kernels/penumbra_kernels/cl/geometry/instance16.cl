@@ -16,11 +16,10 @@ static inline Mask16 meets_moving16(const SceneData *scene, const __global Insta
   const float16 box = part > 0.0f ? MIN16(part, last) : zero;
   const __global float *node = (const __global float *)(scene->nodes + instance->motion_node);
   const uint16 at = as_uint16(to_int16(box));
-  const uint16 x = at + as_uint16(w->back_x & 8), y = at + as_uint16(w->back_y & 8), z = at + as_uint16(w->back_z & 8);
-  const Vec16 near = vec16(gather16(node, x, on), gather16(node + 16, y, on), gather16(node + 32, z, on));
-  const Vec16 far = vec16(gather16(node, x ^ 8u, on), gather16(node + 16, y ^ 8u, on), gather16(node + 32, z ^ 8u, on));
+  const Vec16 lo = vec16(gather16(node, at, on), gather16(node + 16, at, on), gather16(node + 32, at, on));
+  const Vec16 hi = vec16(gather16(node + 8, at, on), gather16(node + 24, at, on), gather16(node + 40, at, on));
   float16 enter;
-  return on & meet_planes16(near, far, w, end, &enter);
+  return on & meet_planes16(lo, hi, w, end, &enter);
 }
 #endif
 

@@ -19,7 +19,7 @@ static inline void hit_leaf16(const SceneData *scene, const uint word, const Ray
 #endif
 #if PENUMBRA_ROUND
   if (type == LEAF_ROUND) {
-    hit_round16(scene, word, r, on, any, h);
+    hit_round16(scene, word, r, on, h);
     return;
   }
 #endif
@@ -65,37 +65,36 @@ static inline bool is_instance(const uint word) {
 #endif
 }
 
-// Leaves that a live ray meets are done at once; every other child waits on the stack, the nearer the later.
-static inline void visit_node16(const SceneData *scene, const __global Node8 *node, const Rays16 *r, Mask16 live, const bool any,
+// Leaves that a live ray meets are done at once; every other child waits on the stack, the nearer the later. All boxes come first:
+// which of them are met cannot be guessed, and waiting for one after the other costs more than testing some in vain.
+static inline void visit_node16(const SceneData *scene, const __global Node8 *node, const Rays16 *r, const Mask16 live, const bool any,
                                 Best16 *h, Stack16 *stack) {
-  const uint bottom = stack->size;
-  for (uint i = 0u; i < CHILDREN; i++) {
-    const uint word = node->child[i];
-    if (word == NO_CHILD) continue;
-    float16 enter;
-    const Mask16 meets = meet_box16(node, i, r->wide, h->t, &enter) & live;
-    const uint met = mask16(meets);
-    if (!met) continue;
+  const uint bottom = stack->size, on = mask16(live);
+  float16 enter[CHILDREN];
+  uint met[CHILDREN], children = 0u;
+  for (uint i = 0u; i < CHILDREN && node->child[i] != NO_CHILD; i++) {
+    met[i] = mask16(meet_box16(node, i, r->wide, h->t, enter + i)) & on;
+    children |= (met[i] ? 1u : 0u) << i;
+  }
+  for (; children; children &= children - 1u) {
+    const uint i = CTZ(children), word = node->child[i];
     if ((word & LEAF_FLAG) && !is_instance(word)) {
-      hit_leaf16(scene, word, r, meets, any, h);
-      if (any) live &= ~h->found;
-    } else push_sorted16(stack, bottom, stack_entry(word, LANE_F(enter, CTZ(met))), met);
+      Mask16 still = lanes_of_bits(met[i]) & (enter[i] <= h->t);
+      if (any) still &= ~h->found;
+      if (any16(still)) hit_leaf16(scene, word, r, still, any, h);
+    } else push_sorted16(stack, bottom, stack_entry(word, LANE_F(enter[i], CTZ(met[i]))), met[i]);
   }
 }
 
 // The lanes of `on` only: what the others give means nothing.
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void traverse16(const SceneData *scene, const Ray16 *ray, const Mask16 on, const bool any,
                                                        Best16 *h) {
-  h->t = ray->tmax;
-  h->u = h->v = 0.0f;
-  h->key = h->lane = NONE;
+  nothing_yet16(ray->tmax, h);
 #if PENUMBRA_INSTANCING
-  h->instance = NONE;
   InsideRays16 inside;
 #endif
-  h->found = 0;
 #if PENUMBRA_ROUND
-  hit_planes16(scene, ray, on, any, h);
+  hit_planes16(scene, ray, on, h);
 #endif
   WideRay16 world;
   wide_ray16(&ray->o, &ray->d, &world);

@@ -70,19 +70,18 @@ static inline float16 disc_distance16(const __global DiscData *disc, const Vec16
   return ((t > 0.0f) & (t < INF_F) & inside) ? t : none;
 }
 
-static inline void hit_round16(const SceneData *scene, const uint word, const Rays16 *r, const Mask16 on, const bool any,
-                               Best16 *h) {
+static inline void hit_round16(const SceneData *scene, const uint word, const Rays16 *r, const Mask16 on, Best16 *h) {
   const uint index = word & LEAF_ROUND_MASK;
   const bool is_disc = (word >> LEAF_DISC_SHIFT) & 1u;
   float16 a = 0.0f, b = 0.0f;
   const float16 t = is_disc ? disc_distance16(scene->discs + index, r->o, r->d, &a, &b)
                             : sphere_distance16(scene->spheres + index, r->o, r->d);
   const uint kind = is_disc ? PRIMITIVE_DISC : PRIMITIVE_SPHERE;
-  offer16(on, t, a, b, (kind << KEY_KIND_SHIFT) | index, NONE, r->instance, any, h);
+  offer16(on, t, a, b, (kind << KEY_KIND_SHIFT) | index, NONE, r->instance, h);
 }
 
 // hit_planes of each ray. Moving planes stand elsewhere for each.
-static inline void hit_planes16(const SceneData *scene, const Ray16 *ray, const Mask16 on, const bool any, Best16 *h) {
+static inline void hit_planes16(const SceneData *scene, const Ray16 *ray, const Mask16 on, Best16 *h) {
   for (uint i = 0u; i < scene->plane_count; i++) {
     const __global PlaneData *record = scene->planes + i;
     Vec16 point = all16(load3(record->point)), normal = all16(load3(record->normal));
@@ -96,6 +95,6 @@ static inline void hit_planes16(const SceneData *scene, const Ray16 *ray, const 
     }
 #endif
     const float16 zero = 0.0f, t = dot16(sub16(point, ray->o), normal) / dot16(ray->d, normal);
-    offer16(on & (t < INF_F), t, zero, zero, (PRIMITIVE_PLANE << KEY_KIND_SHIFT) | i, NONE, NONE, any, h);
+    offer16(on & (t < INF_F), t, zero, zero, (PRIMITIVE_PLANE << KEY_KIND_SHIFT) | i, NONE, NONE, h);
   }
 }

@@ -10,31 +10,43 @@ typedef struct {
   float16 x, y, z;
 } Corner16;
 
-// Corner i of a triangle relative to the rays, sheared so that they go along z. v: its coordinates in the packet.
-static inline Corner16 corner16(const __global float v[3][8], const uint i, const WideRay16 *w) {
-  const float16 x = v[0][i], y = v[1][i], z = v[2][i];
-  Corner16 c;
-  c.z = ALONG(w, x, y, z) - w->okz;
-  c.x = (NEXT(w, x, y, z) - w->okx) - w->sx * c.z;
-  c.y = (AFTER(w, x, y, z) - w->oky) - w->sy * c.z;
-  return c;
+// A corner relative to the rays, sheared so that they go along z.
+static inline void turn_corner16(const float4 p, const WideRay16 *w, Corner16 *c) {
+  c->z = component_of16(p, w->kz) - w->okz;
+  c->x = (component_of16(p, w->kx) - w->okx) - w->sx * c->z;
+  c->y = (component_of16(p, w->ky) - w->oky) - w->sy * c->z;
 }
 
-static inline void hit_triangle16(const __global Packet8 *p, const uint i, const uint lane, const Rays16 *r, const Mask16 on,
-                                  const bool any, Best16 *h) {
-  const WideRay16 *w = r->wide;
-  const Corner16 a = corner16(p->v0, i, w), b = corner16(p->v1, i, w), c = corner16(p->v2, i, w);
-  const float16 u = difference_of_products16(c.x, b.y, c.y, b.x);
-  const float16 v = difference_of_products16(a.x, c.y, a.y, c.x);
-  const float16 q = difference_of_products16(b.x, a.y, b.y, a.x);
+#define CORNERS 24u  // of eight triangles
+
+// Those of a packet of `count` triangles, for each ray. own: where each of them stands once; else they come in the packet's order.
+static inline void turn_corners16(const __global Packet8 *p, const __global PacketCorners *own, const uint count, const WideRay16 *w,
+                                  Corner16 *c) {
+  if (own) {
+    const __global float4 *corner = (const __global float4 *)own->corner;
+    for (uint i = 0u; i < own->corners; i++) turn_corner16(corner[i], w, c + i);
+    return;
+  }
+  const __global float *v = (const __global float *)p;
+  for (uint i = 0u; i < count; i++, v++) {
+    for (uint k = 0u; k < 3u; k++) turn_corner16((float4)(v[24u * k], v[24u * k + 8u], v[24u * k + 16u], 0.0f), w, c + (3u * i + k));
+  }
+}
+
+// A triangle against all rays. early: look first whether any of them is inside.
+static inline void hit_triangle16(const Corner16 *a, const Corner16 *b, const Corner16 *c, const uint primitive, const uint lane,
+                                  const Rays16 *r, const bool early, Best16 *h) {
+  const float16 u = difference_of_products16(c->x, b->y, c->y, b->x);
+  const float16 v = difference_of_products16(a->x, c->y, a->y, c->x);
+  const float16 q = difference_of_products16(b->x, a->y, b->y, a->x);
   const float16 low = MIN16(MIN16(u, v), q), high = MAX16(MAX16(u, v), q);
   const float16 det = u + v + q;
-  const Mask16 inside = ((low >= 0.0f) | (high <= 0.0f)) & (det != 0.0f) & on;
-  if (!mask16(inside)) return;
+  const Mask16 inside = ((low >= 0.0f) | (high <= 0.0f)) & (det != 0.0f);
+  if (early && !any16(inside)) return;
   const float16 inverse = 1.0f / det;
   const float16 b0 = u * inverse, b1 = v * inverse, b2 = q * inverse;
-  const float16 t = (b0 * a.z + b1 * b.z + b2 * c.z) * w->sz;
-  offer16(inside, t, b1, b2, (PRIMITIVE_TRIANGLE << KEY_KIND_SHIFT) | p->primitive[i], lane, r->instance, any, h);
+  const float16 t = (b0 * a->z + b1 * b->z + b2 * c->z) * r->wide->sz;
+  offer16(inside, t, b1, b2, (PRIMITIVE_TRIANGLE << KEY_KIND_SHIFT) | primitive, lane, r->instance, h);
 }
 
 // Where a triangle of eight is hit nearest by the k-th ray, it goes into that lane.
@@ -42,9 +54,9 @@ static inline void offer_lane16(uint mask, const __global Packet8 *p, const uint
                                 const float8 t8, const float8 u8, const float8 v8, Best16 *h) {
   const float8 t[1] = {t8}, u[1] = {u8}, v[1] = {v8};
   float best = LANE_F(h->t, k);
-  uint key = LANE_I(h->found, k) ? LANE_U(h->key, k) : 0u, found = 8u;
+  uint key = LANE_U(h->key, k), found = 8u;
 #if PENUMBRA_INSTANCING
-  if (LANE_I(h->found, k) && instance < LANE_U(h->instance, k)) key++;  // the same in a later instance
+  if (instance < LANE_U(h->instance, k)) key++;  // the same in a later instance
 #endif
   for (; mask; mask &= mask - 1u) {
     const uint i = CTZ(mask), its_key = (PRIMITIVE_TRIANGLE << KEY_KIND_SHIFT) | p->primitive[i];
@@ -70,9 +82,9 @@ static inline void offer_lane16(uint mask, const __global Packet8 *p, const uint
 // Ray k, as wide_ray prepares it for triangles.
 static inline RayAxes lane_axes(const WideRay16 *w, const uint k) {
   RayAxes r;
-  r.kz = LANE_I(w->last_x, k) ? 0u : LANE_I(w->last_y, k) ? 1u : 2u;
-  r.kx = r.kz == 2u ? 0u : r.kz + 1u;
-  r.ky = r.kx == 2u ? 0u : r.kx + 1u;
+  r.kx = LANE_U(w->kx, k);
+  r.ky = LANE_U(w->ky, k);
+  r.kz = LANE_U(w->kz, k);
   r.ox = LANE_F(w->okx, k);
   r.oy = LANE_F(w->oky, k);
   r.oz = LANE_F(w->okz, k);
@@ -125,16 +137,36 @@ static inline uint triangles_in(const __global Packet8 *p) {
   return CTZ(lane_mask(primitive == primitive.s7)) + 1u;
 }
 
+// All rays against one triangle after the other.
+static inline void hit_packet_together(const SceneData *scene, const uint packet, const uint count, const Rays16 *r, const Mask16 on,
+                                       Best16 *h) {
+  const __global Packet8 *p = scene->packets + packet;
+  const __global PacketCorners *own = scene->corners ? scene->corners + packet : 0;
+  // In a small tree half of the triangles are hit by some ray: where all that follows are a few instructions, guessing which costs more.
+  const bool early = !own || !PENUMBRA_512;
+  const float16 never = -1.0f;
+  Best16 best = *h;
+  best.t = on ? best.t : never;  // no hit counts there
+  Corner16 corner[CORNERS];
+  turn_corners16(p, own, count, r->wide, corner);
+  for (uint i = 0u; i < count; i++) {
+    const uint at = 3u * i;
+    const uint a = own ? own->index[at] : at, b = own ? own->index[at + 1u] : at + 1u, c = own ? own->index[at + 2u] : at + 2u;
+    hit_triangle16(corner + a, corner + b, corner + c, p->primitive[i], 8u * packet + i, r, early, &best);
+  }
+  best.t = on ? best.t : h->t;
+  *h = best;
+}
+
+// Where twice the triangles are more than so many times the rays, each ray meets the packet alone. Measured.
+#define RAYS_A_PACKET (PENUMBRA_512 ? 5u : 3u)
+
 static inline void hit_packets16(const SceneData *scene, const uint word, const Rays16 *r, const Mask16 on, const bool any,
                                  Best16 *h) {
   uint packet = word & LEAF_PACKET_MASK;
   for (uint n = (word >> LEAF_COUNT_SHIFT) & 3u; n; n--, packet++) {
-    const __global Packet8 *p = scene->packets + packet;
-    const uint count = triangles_in(p);
-    if (3u * POPCOUNT(mask16(on)) < 2u * count) {
-      hit_packet_apart(scene, packet, r, on, any, h);
-      continue;
-    }
-    for (uint i = 0u; i < count; i++) hit_triangle16(p, i, 8u * packet + i, r, on, any, h);
+    const uint count = scene->corners ? scene->corners[packet].triangles : triangles_in(scene->packets + packet);
+    if (RAYS_A_PACKET * POPCOUNT(mask16(on)) < 2u * count) hit_packet_apart(scene, packet, r, on, any, h);
+    else hit_packet_together(scene, packet, count, r, on, h);
   }
 }
