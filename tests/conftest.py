@@ -3,6 +3,7 @@ for one: Debian's package in a temporary folder, on loopback, gone with the test
 
 from __future__ import annotations
 
+import logging
 import os
 import pwd
 import shutil
@@ -30,6 +31,16 @@ def _own_program_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ.setdefault("POCL_CACHE_DIR", str(Path.home() / ".cache" / "pocl" / "kcache"))
     if "PENUMBRA_CACHE" not in os.environ:
         os.environ["PENUMBRA_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def log_as_before() -> Iterator[None]:
+    """For tests that set up the log: its stream ends with them, and later ones must not write to it."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)
 
 
 @lru_cache

@@ -181,6 +181,7 @@ def test_two_services_do_not_share_a_data_folder(environment: dict[str, str]) ->
     assert "another running service" in result.stderr
 
 
+@pytest.mark.usefixtures("log_as_before")
 def test_a_service_that_cannot_start_does_not_say_that_it_listens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
