@@ -39,6 +39,17 @@ class Allotment:
     kept_planned: int | None = None
     """What `planned` was while the kept ones were taken; None: those themselves."""
 
+    def samples(self, first: int, count: int) -> dict[int, int]:
+        """Pixels by how many of [first, first + count) they take."""
+        taken: dict[int, int] = {}
+        pixels = np.bincount(self.levels.ravel())
+        for level in np.flatnonzero(pixels):
+            own = own_samples(first + count, int(level), self.kept) - own_samples(
+                first, int(level), self.kept
+            )
+            taken[own] = taken.get(own, 0) + int(pixels[level])
+        return taken
+
 
 def even(tile: Tile, planned: int = 0, *, pilot: bool = False) -> Allotment:
     """Every pixel takes every index."""

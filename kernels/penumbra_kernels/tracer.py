@@ -25,6 +25,8 @@ LAUNCH_SECONDS: Final = 0.05
 """Display drivers kill longer launches; CPUs have none, and each launch waits for its slowest core."""
 GROUP_SAMPLES: Final = 256
 """About as many samples a work-item of a CPU takes, over one or more (pixel, replicate) pairs: small groups spread evenly."""
+MOST_GROUP_SAMPLES: Final = 1024
+"""Where pixels take different numbers of samples."""
 MAX_GROUPS: Final = 32768
 """PoCL compiles a kernel once more for grids of 65,535 and up, and once more for global offsets: neither is used."""
 FIRST_THREADS: Final = 4096
@@ -95,6 +97,16 @@ class SamplePlan:
     replicates: int
     strata: int = 0
     """Planned samples a replicate, 0 where that is not known beforehand."""
+
+
+def items_per_group(taken: Mapping[int, int]) -> int:
+    """Of a CPU's work-item: GROUP_SAMPLES samples even where all of its pixels take the fewest that any does, since lanes
+    that a pixel leaves free go to the next one of the group; but no more than MOST_GROUP_SAMPLES on average. taken: pixels by
+    how many samples they take."""
+    fewest = min((own for own in taken if own), default=1)
+    mean = sum(own * pixels for own, pixels in taken.items()) / max(sum(taken.values()), 1)
+    most = MOST_GROUP_SAMPLES / max(mean, 1.0)
+    return max(int(min(GROUP_SAMPLES / fewest, most)), int(GROUP_SAMPLES / max(mean, 1.0)), 1)
 
 
 def build_program(device: Device, flags: Flags) -> cl.Program:
@@ -211,6 +223,12 @@ class Tracer:
             return merge(left, self._trace(tile, first_sample + half, half, allotment))
         return self._launch(tile, first_sample, sample_count, allotment)
 
+    def _taken(self, first_sample: int, sample_count: int, allotment: Allotment | None) -> dict[int, int]:
+        """Pixels by how many of these samples they take."""
+        if allotment is None or not self.flags["PENUMBRA_ADAPTIVE"]:
+            return {sample_count: 1}
+        return allotment.samples(first_sample, sample_count)
+
     def _plan_strata(self, strata: int) -> None:
         self._params["strata"] = strata
         self._params["log2_samples"] = max(strata - 1, 0).bit_length() if strata else 32
@@ -232,9 +250,9 @@ class Tracer:
         params["tile_x"], params["tile_y"] = tile.x, tile.y
         params["tile_width"], params["tile_height"] = tile.width, tile.height
         params["first_sample"], params["sample_count"] = first_sample, sample_count
-        params["items_per_group"] = (
-            max(GROUP_SAMPLES // sample_count, 1) if self.device.info.kind == "cpu" else 1
-        )
+        params["items_per_group"] = 1
+        if self.device.info.kind == "cpu":
+            params["items_per_group"] = items_per_group(self._taken(first_sample, sample_count, allotment))
         params["item_count"] = items
         params["options"] = self._options | np.uint32(self.other_groups << CONSTANTS["OPTION_OTHER_SHIFT"])
         sums = np.empty(shape, SUM)

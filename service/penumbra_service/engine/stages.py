@@ -30,6 +30,7 @@ from penumbra_service.film.allocation import (
     error_levels,
     pilot_of,
     pilot_suffices,
+    spreading_pays,
     theta_of,
 )
 from penumbra_service.film.film import Film
@@ -43,6 +44,11 @@ PILOT_SHARE: Final = 0.1
 """Of the seconds that a job may take: a pilot that has reached it ends with what it has."""
 PILOT_BUDGET: Final = 0.25
 """Of a job's samples: what the least pilot takes at most where nothing else is asked for."""
+
+
+NOTHING_TO_SPREAD: Final = (
+    "the pilot tells that spreading samples by error saves nothing here: all pixels take equally many"
+)
 
 
 @dataclass(frozen=True)
@@ -156,6 +162,9 @@ class Stages:
             return None, contrast_levels(_picture_of(film, end), adaptive.contrast)
         errors = [point.mse for point in record.points if 2 * point.samples >= record.points[-1].samples]
         theta = theta_of(errors[0], errors[-1]) if len(errors) > 1 else theta_of(0.0, 0.0)
+        if film.replicates >= 4 and not spreading_pays(self._window, film.halves(end), theta):
+            record.warnings.append(NOTHING_TO_SPREAD)
+            return theta, np.zeros((self._window.height, self._window.width), np.uint8)
         pilot = pilot_of(self._window, (film.pixels(tile, end) for tile in film.tiles))
         kept = end if adaptive.biased else 0
         return theta, error_levels(self._window, pilot, theta, self._layout.samples_per_replicate, kept)

@@ -153,6 +153,11 @@ class Saving:
     cost: float = 1.0
     """Of a sample's seconds: where more are taken, paths may be longer."""
 
+    @property
+    def pays(self) -> bool:
+        """Whether it takes less than an even one."""
+        return self.samples * self.cost < 1
+
 
 def saving_of(decided_by: BlockPilot, measured: BlockPilot, theta: float) -> Saving:
     """By the counts that one look at some blocks decides, with the noise that a later look at them has measured:
@@ -165,6 +170,14 @@ def saving_of(decided_by: BlockPilot, measured: BlockPilot, theta: float) -> Sav
         return Saving()
     grown = float((noise * density**-theta).sum() / noise.sum())
     return Saving(grown ** (1 / theta), float((rays * density).sum() / rays.sum()))
+
+
+def spreading_pays(window: Tile, halves: Sequence[Iterable[PixelStatistics]], theta: float) -> bool:
+    """Whether a pilot tells that its counts save anything. halves: its tiles by one half of the replicates and by the other;
+    each decides what the other measures, since noise that decides would measure its own gain."""
+    first, second = (pilot_of(window, half) for half in halves)
+    savings = [saving_of(smoothed(a), b, theta) for a, b in ((first, second), (second, first))]
+    return sum(saving.samples * saving.cost for saving in savings) < len(savings)
 
 
 def together(pilots: Sequence[BlockPilot]) -> BlockPilot:

@@ -8,7 +8,7 @@ changed and nothing else.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -130,6 +130,17 @@ class Film:
     def pixels(self, tile: Tile, end: int) -> PixelStatistics:
         """Statistics of samples [0, end). Raises ValueError where some are missing."""
         return self._pixels(tile, end, np.empty)
+
+    def halves(self, end: int) -> tuple[Iterator[PixelStatistics], Iterator[PixelStatistics]]:
+        """Statistics of samples [0, end) of all tiles by the first half of the replicates alone, and by the second."""
+        half = self.replicates // 2
+        return self._of_replicates(end, slice(half)), self._of_replicates(end, slice(half, None))
+
+    def _of_replicates(self, end: int, chosen: slice) -> Iterator[PixelStatistics]:
+        for tile in self._tiles:
+            sums = self.accumulator(tile).fold(end)
+            part = {name: sums[name][chosen] for name in sums}
+            yield pixel_statistics(tile, part, deterministic=self.deterministic)
 
     def look(self, tile: Tile, end: int) -> tuple[PixelStatistics, TileSummary]:
         """Statistics of samples [0, end), which the next look makes void, and the tile's share in the picture's error."""

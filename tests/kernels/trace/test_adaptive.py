@@ -13,7 +13,7 @@ from penumbra_kernels.assets import NoAssets
 from penumbra_kernels.compile.scene import CompiledScene, compile_scene
 from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import SumNode, Tile, merge
-from penumbra_kernels.tracer import SamplePlan, Tracer
+from penumbra_kernels.tracer import GROUP_SAMPLES, MOST_GROUP_SAMPLES, SamplePlan, Tracer, items_per_group
 from penumbra_scene.adaptive import Adaptive
 from penumbra_scene.scene import Scene
 
@@ -136,6 +136,20 @@ def test_a_pilot_has_random_numbers_of_its_own(device: Device) -> None:
     surface = (picture["rgba"][..., 3] == 4) & (pilot["rgba"][..., 3] == 4)
     assert (picture["rgba"][surface, 0] != pilot["rgba"][surface, 0]).mean() > 0.99
     assert picture.tobytes() == again.tobytes()
+
+
+def test_work_items_of_a_cpu_have_samples_enough_to_fill_their_lanes() -> None:
+    """Even where all of a group's pixels are those that take the fewest; and none is much longer than the rest."""
+    assert items_per_group({GROUP_SAMPLES: 1}) == 1
+    assert items_per_group({4: 1}) == GROUP_SAMPLES // 4
+    assert items_per_group({32: 1, 4: 999}) == GROUP_SAMPLES // 4
+    uneven = items_per_group({64: 500, 4: 500})
+    assert GROUP_SAMPLES // 64 < uneven
+    assert uneven * 34 <= MOST_GROUP_SAMPLES
+    assert items_per_group({0: 96, 64: 4}) > items_per_group({64: 1})  # most take nothing
+    levels = np.array([[0, 3], [LEVEL_NONE, 3]], np.uint8)
+    assert Allotment(levels, kept=4).samples(16, 16) == {16: 1, 2: 2, 0: 1}
+    assert Allotment(levels, kept=4).samples(0, 4) == {4: 4}
 
 
 def test_pilots_of_different_seeds_differ() -> None:

@@ -213,3 +213,19 @@ def test_a_pilot_takes_at_most_its_share_of_the_time(engine, tmp_path):  # type:
     assert use is not None
     assert use.pilot_samples < 4096
     assert result.reason is StopReason.SECONDS
+
+
+def test_where_spreading_saves_nothing_all_pixels_take_as_many(engine, tmp_path):  # type: ignore[no-untyped-def]
+    """A picture that is nothing but one lamp's light on a plane has the same noise everywhere."""
+    scene = {
+        "camera": {"type": "perspective"},
+        "shapes": [
+            {"type": "quad", "origin": [-9, -9, -3], "u": [18, 0, 0], "v": [0, 18, 0], "material": "white"}
+        ],
+        "environment": {"type": "constant", "radiance": 1.0},
+    }
+    result = finished(engine, task_of(tmp_path, CERTIFIED, **scene))
+    assert result.record.adaptive is not None
+    assert set(result.record.adaptive.levels) == {"0"}
+    assert "saves nothing" in " ".join(result.record.warnings)
+    assert (counts(result) == 64).all()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from penumbra_kernels.allotment import LEVEL_NONE, own_samples
+from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import Tile
 from penumbra_service.film import levels as level_file
 from penumbra_service.film.allocation import (
@@ -23,6 +24,7 @@ from penumbra_service.film.allocation import (
     pilot_suffices,
     saving_of,
     smoothed,
+    spreading_pays,
     theta_of,
 )
 from penumbra_service.film.error import EPSILON
@@ -258,6 +260,22 @@ def test_a_pilot_is_pooled_by_blocks_that_do_not_depend_on_tiles(samples: Any) -
         (block**2).mean() - first.variance[:13, :11, :3].mean(), (block.mean(axis=(0, 1)) ** 2).mean()
     )
     assert large.weight[0, 0] == pytest.approx(1 / (signal + EPSILON))
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_spreading_pays_where_noise_is_uneven_and_not_where_only_chance_makes_it_so(uneven: bool) -> None:
+    """Uniform noise, four replicates of 2 samples: of one amplitude, and of another in a quarter of the picture."""
+    window = Tile(0, 0, 64, 48)
+    rng = np.random.default_rng(5)
+    noise = rng.random((4, 48, 64)) + rng.random((4, 48, 64))
+    if uneven:
+        noise[:, :24, :32] = 1 + 0.05 * (noise[:, :24, :32] - 1)
+        noise[:, 24:] = 1 + 0.2 * (noise[:, 24:] - 1)
+    sums = np.zeros(noise.shape, SUM)
+    sums["rgba"] = noise[..., None]
+    sums["taken"], sums["rays"] = 2, 6
+    halves = [[pixel_statistics(window, part)] for part in (sums[:2], sums[2:])]
+    assert spreading_pays(window, halves, 1.0) is uneven
 
 
 def test_contrast_refines_both_sides_of_an_edge_and_nothing_else() -> None:
