@@ -144,7 +144,7 @@ def test_work_items_of_a_cpu_have_samples_enough_to_fill_their_lanes() -> None:
     assert items_per_group({4: 1}) == GROUP_SAMPLES // 4
     assert items_per_group({32: 1, 4: 999}) == GROUP_SAMPLES // 4
     uneven = items_per_group({64: 500, 4: 500})
-    assert GROUP_SAMPLES // 64 < uneven
+    assert uneven > GROUP_SAMPLES // 64
     assert uneven * 34 <= MOST_GROUP_SAMPLES
     assert items_per_group({0: 96, 64: 4}) > items_per_group({64: 1})  # most take nothing
     levels = np.array([[0, 3], [LEVEL_NONE, 3]], np.uint8)
