@@ -316,6 +316,7 @@ LIGHT_NODE: Final = np.dtype(
         ("axis_y", np.float32, (8,)),
         ("axis_z", np.float32, (8,)),
         ("cos_spread", np.float32, (8,)),
+        ("sin_spread", np.float32, (8,)),
         ("cos_falloff", np.float32, (8,)),
         (
             "strength",

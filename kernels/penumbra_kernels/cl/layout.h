@@ -316,12 +316,13 @@ typedef struct {
   float axis_y[8];
   float axis_z[8];
   float cos_spread[8];
+  float sin_spread[8];
   float cos_falloff[8];
   float strength[8];
   uint child[8];
   uint count[8];
 } LightNode;
-// sizeof(LightNode) == 384
+// sizeof(LightNode) == 416
 
 typedef struct {
   float threshold;

@@ -289,7 +289,12 @@ class _Widening:
         for i, name in enumerate("xyz"):
             out[name], out[f"axis_{name}"] = center[:, i], axis[:, i]
         out["radius"] = np.where(far, -1.0, radius)
-        out["cos_spread"], out["cos_falloff"] = np.cos(spread), np.cos(falloff)
+        # The sine of pi rounds to more than 0: angles within it are told by the sign of a sine (cl/lights/tree.cl).
+        out["cos_spread"], out["sin_spread"], out["cos_falloff"] = (
+            np.cos(spread),
+            np.sin(spread),
+            np.cos(falloff),
+        )
         out["strength"] = np.add.reduceat(lights.strength[members], offsets)
         return out
 

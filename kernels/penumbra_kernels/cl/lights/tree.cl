@@ -30,14 +30,17 @@ static inline float8 sqrt8(const float8 x) { return sqrt(x); }
 // Uniform numbers that there are; floats below it are exact.
 #define NUMBERS 0x1p24f
 
-static inline float8 sine_of(const float8 cosine) { return sqrt8(MAX8(1.0f - cosine * cosine, (float8)(0.0f))); }
+// Sine from the cosine where both are times a length. square: the length's.
+static inline float8 sine_of(const float8 cosine, const float8 square) {
+  return sqrt8(MAX8(square - cosine * cosine, (float8)(0.0f)));
+}
 
-// Cosine of max(0, a - b) for angles in [0, pi] (pbrt-v4, 12.6.3); *sine is its sine.
+// Cosine of max(0, a - b) for angles in [0, pi] (pbrt-v4, 12.6.3), whose sines and cosines are times lengths: inverse is 1 over both. The
+// difference is in [-pi, pi], so that its sine tells whether it is below 0.
 static inline float8 cosine_less(const float8 cos_a, const float8 sin_a, const float8 cos_b, const float8 sin_b,
-                                 float8 *sine) {
-  const float8 one = 1.0f, zero = 0.0f;
-  *sine = cos_a >= cos_b ? zero : sin_a * cos_b - cos_a * sin_b;
-  return cos_a >= cos_b ? one : cos_a * cos_b + sin_a * sin_b;
+                                 const float8 inverse) {
+  const float8 one = 1.0f;
+  return sin_a * cos_b < cos_a * sin_b ? one : (cos_a * cos_b + sin_a * sin_b) * inverse;
 }
 
 static inline float sum8(const float8 x) {
@@ -60,7 +63,7 @@ static inline float8 halved(const float8 weight, const int8 far) {
 static inline float8 light_weights(const __global LightNode *node, const Receiver *receiver, const bool root) {
   const float8 zero = 0.0f, one = 1.0f;
   const float8 radius = LANES8(node->radius), strength = LANES8(node->strength);
-  const float8 cos_spread = LANES8(node->cos_spread), sin_spread = sine_of(cos_spread);
+  const float8 cos_spread = LANES8(node->cos_spread), sin_spread = LANES8(node->sin_spread);
   const int8 far = radius < zero;
   const float8 cx = LANES8(node->x), cy = LANES8(node->y), cz = LANES8(node->z);
   const float8 dx = far ? cx : cx - receiver->p.x;
@@ -68,25 +71,26 @@ static inline float8 light_weights(const __global LightNode *node, const Receive
   const float8 dz = far ? cz : cz - receiver->p.z;
   const float8 d2 = dx * dx + dy * dy + dz * dz;
   const float8 r2 = radius * radius;
-  const int8 inside = d2 <= r2;
-  const float8 nearest = MAX8(MAX8(d2, 0.125f * r2), (float8)(LEAST_SQUARE));
-  const float8 inverse = one / sqrt8(MAX8(d2, (float8)(LEAST_SQUARE)));
-  const float8 wx = dx * inverse, wy = dy * inverse, wz = dz * inverse;
+  const int8 inside = !far & (d2 <= r2);
+  // Below, sines and cosines are times the distance, and those of differences times its square: no unit vector is needed.
+  const float8 inverse = one / MAX8(MAX8(d2, 0.125f * r2), (float8)(LEAST_SQUARE));
   // Half angle that the bounds subtend: all of pi from within.
-  const float8 sin_near = MIN8(radius * inverse, one);
-  const float8 sin_bounds = far ? sin_spread : (inside ? zero : sin_near);
-  const float8 cos_bounds = far ? cos_spread : (inside ? -one : sine_of(sin_near));
-  // Least angle off a normal at which they can emit towards the receiver.
-  const float8 cos_axis = MAX8(MIN8(-(LANES8(node->axis_x) * wx + LANES8(node->axis_y) * wy + LANES8(node->axis_z) * wz), one), -one);
-  float8 sin_off, sin_least;
-  const float8 cos_off = cosine_less(cos_axis, sine_of(cos_axis), cos_spread, sin_spread, &sin_off);
-  const float8 cos_least = cosine_less(cos_off, sin_off, cos_bounds, sin_bounds, &sin_least);
+  const float8 sin_bounds = far ? sin_spread : radius;
+  const float8 cos_bounds = far ? cos_spread : sqrt8(MAX8(d2 - r2, zero));
+  // Least angle off a normal at which they can emit towards the receiver: that off the axis, less the spread, less the half angle.
+  const float8 cos_axis = -(LANES8(node->axis_x) * dx + LANES8(node->axis_y) * dy + LANES8(node->axis_z) * dz);
+  const float8 sin_axis = sine_of(cos_axis, d2);
+  const float8 sin_off = sin_axis * cos_spread - cos_axis * sin_spread;
+  const float8 cos_off = cos_axis * cos_spread + sin_axis * sin_spread;
+  const float8 cos_emitted = cosine_less(cos_off, sin_off, cos_bounds, sin_bounds, inverse);
+  const float8 cos_least = (inside | (sin_off < zero)) ? one : cos_emitted;
   int8 lit = (strength > zero) & (far | (cos_least >= LANES8(node->cos_falloff)));
-  float8 weight = far ? strength : strength / nearest * cos_least;
+  float8 weight = far ? strength : strength * inverse * cos_least;
   const float3 n = receiver->n;
   if (n.x != 0.0f || n.y != 0.0f || n.z != 0.0f) {
-    const float8 cos_normal = MAX8(MIN8(n.x * wx + n.y * wy + n.z * wz, one), -one);
-    const float8 cos_lit = cosine_less(cos_normal, sine_of(cos_normal), cos_bounds, sin_bounds, &sin_off);
+    const float8 cos_normal = n.x * dx + n.y * dy + n.z * dz;
+    const float8 cos_arriving = cosine_less(cos_normal, sine_of(cos_normal, d2), cos_bounds, sin_bounds, inverse);
+    const float8 cos_lit = inside ? one : cos_arriving;
     lit &= cos_lit > -LEAST_COSINE;
     weight *= MAX8(cos_lit, (float8)(LEAST_COSINE));
   }

@@ -11,7 +11,7 @@
 typedef struct {
   float16 x[CHILDREN], y[CHILDREN], z[CHILDREN], radius[CHILDREN];
   float16 axis_x[CHILDREN], axis_y[CHILDREN], axis_z[CHILDREN];
-  float16 cos_spread[CHILDREN], cos_falloff[CHILDREN], strength[CHILDREN];
+  float16 cos_spread[CHILDREN], sin_spread[CHILDREN], cos_falloff[CHILDREN], strength[CHILDREN];
   uint16 child[CHILDREN], count[CHILDREN];
 } LightNode16;
 
@@ -36,26 +36,20 @@ static inline void load_nodes16(const SceneData *scene, const uint16 word, const
   for (uint i = 0u; i < counts; i += step) *(Rows16 *)(out + i) = gather_rows16(from + i, row, on);
 }
 
-static inline float16 sine_of16(const float16 cosine) { return safe_sqrt16(1.0f - cosine * cosine); }
+static inline float16 sine_of16(const float16 cosine, const float16 square) { return safe_sqrt16(square - cosine * cosine); }
 
 // cosine_less of each lane.
 static inline float16 cosine_less16(const float16 cos_a, const float16 sin_a, const float16 cos_b, const float16 sin_b,
-                                    float16 *sine) {
-  const float16 one = 1.0f, zero = 0.0f;
-  *sine = cos_a >= cos_b ? zero : sin_a * cos_b - cos_a * sin_b;
-  return cos_a >= cos_b ? one : cos_a * cos_b + sin_a * sin_b;
-}
-
-static inline float16 cosine_between16(const float16 cosine) {
-  const float16 one = 1.0f, low = MIN16(cosine, one);
-  return MAX16(low, -one);
+                                    const float16 inverse) {
+  const float16 one = 1.0f;
+  return sin_a * cos_b < cos_a * sin_b ? one : (cos_a * cos_b + sin_a * sin_b) * inverse;
 }
 
 // light_weights of each lane's child number c, before the root's are halved.
 static inline float16 light_weight16(const LightNode16 *node, const uint c, const Receiver16 *receiver) {
   const float16 zero = 0.0f, one = 1.0f, least_square = LEAST_SQUARE;
   const float16 radius = node->radius[c], strength = node->strength[c];
-  const float16 cos_spread = node->cos_spread[c], sin_spread = sine_of16(cos_spread);
+  const float16 cos_spread = node->cos_spread[c], sin_spread = node->sin_spread[c];
   const Mask16 far = radius < zero;
   const float16 cx = node->x[c], cy = node->y[c], cz = node->z[c];
   const float16 dx = far ? cx : cx - receiver->p.x;
@@ -63,24 +57,24 @@ static inline float16 light_weight16(const LightNode16 *node, const uint c, cons
   const float16 dz = far ? cz : cz - receiver->p.z;
   const float16 d2 = dx * dx + dy * dy + dz * dz;
   const float16 r2 = radius * radius;
-  const Mask16 inside = d2 <= r2;
+  const Mask16 inside = ~far & (d2 <= r2);
   const float16 eighth = 0.125f * r2, outer = MAX16(d2, eighth);
-  const float16 nearest = MAX16(outer, least_square);
-  const float16 inverse = one / sqrt16(MAX16(d2, least_square));
-  const float16 wx = dx * inverse, wy = dy * inverse, wz = dz * inverse;
-  const float16 ratio = radius * inverse, sin_near = MIN16(ratio, one);
-  const float16 sin_bounds = far ? sin_spread : inside ? zero : sin_near;
-  const float16 cos_bounds = far ? cos_spread : inside ? -one : sine_of16(sin_near);
-  const float16 cos_axis = cosine_between16(-(node->axis_x[c] * wx + node->axis_y[c] * wy + node->axis_z[c] * wz));
-  float16 sin_off, sin_least;
-  const float16 cos_off = cosine_less16(cos_axis, sine_of16(cos_axis), cos_spread, sin_spread, &sin_off);
-  const float16 cos_least = cosine_less16(cos_off, sin_off, cos_bounds, sin_bounds, &sin_least);
+  const float16 inverse = one / MAX16(outer, least_square);
+  const float16 sin_bounds = far ? sin_spread : radius;
+  const float16 cos_bounds = far ? cos_spread : safe_sqrt16(d2 - r2);
+  const float16 cos_axis = -(node->axis_x[c] * dx + node->axis_y[c] * dy + node->axis_z[c] * dz);
+  const float16 sin_axis = sine_of16(cos_axis, d2);
+  const float16 sin_off = sin_axis * cos_spread - cos_axis * sin_spread;
+  const float16 cos_off = cos_axis * cos_spread + sin_axis * sin_spread;
+  const float16 cos_emitted = cosine_less16(cos_off, sin_off, cos_bounds, sin_bounds, inverse);
+  const float16 cos_least = (inside | (sin_off < zero)) ? one : cos_emitted;
   Mask16 lit = (strength > zero) & (far | (cos_least >= node->cos_falloff[c]));
-  float16 weight = far ? strength : strength / nearest * cos_least;
+  float16 weight = far ? strength : strength * inverse * cos_least;
   const Vec16 n = receiver->n;
   const Mask16 plane = (n.x != 0.0f) | (n.y != 0.0f) | (n.z != 0.0f);
-  const float16 cos_normal = cosine_between16(n.x * wx + n.y * wy + n.z * wz), least_cosine = LEAST_COSINE;
-  const float16 cos_lit = cosine_less16(cos_normal, sine_of16(cos_normal), cos_bounds, sin_bounds, &sin_off);
+  const float16 cos_normal = n.x * dx + n.y * dy + n.z * dz, least_cosine = LEAST_COSINE;
+  const float16 cos_arriving = cosine_less16(cos_normal, sine_of16(cos_normal, d2), cos_bounds, sin_bounds, inverse);
+  const float16 cos_lit = inside ? one : cos_arriving;
   lit &= ~plane | (cos_lit > -LEAST_COSINE);
   weight = plane ? weight * MAX16(cos_lit, least_cosine) : weight;
   const float16 least_weight = LEAST_WEIGHT;
