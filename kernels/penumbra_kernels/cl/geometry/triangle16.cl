@@ -143,7 +143,7 @@ static inline void hit_packet_together(const SceneData *scene, const uint packet
   const __global Packet8 *p = scene->packets + packet;
   const __global PacketCorners *own = scene->corners ? scene->corners + packet : 0;
   // In a small tree half of the triangles are hit by some ray: where all that follows are a few instructions, guessing which costs more.
-  const bool early = !own || !PENUMBRA_512;
+  const bool early = PENUMBRA_512 ? !own : true;
   const float16 never = -1.0f;
   Best16 best = *h;
   best.t = on ? best.t : never;  // no hit counts there
