@@ -194,6 +194,8 @@ class Progress(Model):
     """Variance falls as samples^-theta; null while there are too few samples to tell."""
     predicted_seconds: Measured | None = None
     """Of tracing, still to go until the job stops; null where it cannot be told."""
+    predicted_seconds_interval: Interval | None = None
+    """No upper end: few pixels carry the error, and what a lower one takes may be many times as much."""
     shortfall: Shortfall | None = None
     """The error target that the job cannot reach within its caps; null where it may."""
     thumbnail_revision: Count = 0

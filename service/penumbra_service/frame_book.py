@@ -74,7 +74,7 @@ class ServiceFrameBook:
         else:
             self._publish(frame, results.ALL)
             self._store.note_picture(self._job, frame)
-            done = {"progress": 1.0, "predicted_seconds": None}
+            done = {"progress": 1.0, "predicted_seconds": None, "predicted_seconds_interval": None}
             self._store.put(self._job, frame, JobState.DONE, done, reason=outcome.stop_reason, finished=now)
             with self._lock:
                 self._shown = None

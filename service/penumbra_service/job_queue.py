@@ -372,6 +372,7 @@ class JobQueue:
                 progress |= {
                     "progress": 1.0,
                     "predicted_seconds": None,
+                    "predicted_seconds_interval": None,
                     "thumbnail_revision": progress.get("thumbnail_revision", 0) + 1,
                 }
             # a job that was paused while its last files were written is done nevertheless

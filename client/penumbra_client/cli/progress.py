@@ -36,7 +36,9 @@ def _numbers(event: ProgressEvent) -> str:
     if event.frames is not None:
         words.insert(0, f"{event.frames.done} of {event.frames.total} frames")
     if event.predicted_seconds is not None and not event.state.ended:
-        words.append(f"{duration(event.predicted_seconds)} to go")
+        interval = event.predicted_seconds_interval
+        least = "at least " if interval is not None and interval.high is None else ""
+        words.append(f"{least}{duration(event.predicted_seconds)} to go")
     return ", ".join(words)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from penumbra_scene.job import Progress
+from penumbra_scene.job import Interval, Progress
 
 from penumbra_service.film.predict import Point, fit_theta, predict
 from penumbra_service.film.stop import StopRule
@@ -34,24 +34,30 @@ class Forecast:
     samples: float
     """A pixel."""
     seconds: float
+    seconds_low: float
+    seconds_high: float | None
+    """None: it has no upper end."""
 
 
 def forecast(rule: StopRule, points: Sequence[Point], now: Now) -> Forecast | None:
     """The rule that is expected to hold first; None where nothing can be told."""
     if now.seconds_per_sample is None or now.seconds_per_sample <= 0:
         return None
-    ends = []
+    ends = []  # of samples, each with the ends of its interval
     if rule.samples is not None:
-        ends.append(rule.samples_at(rule.samples))
+        ends.append((rule.samples_at(rule.samples),) * 3)
     if rule.seconds is not None:
-        ends.append(now.samples + max(rule.seconds - now.seconds, 0.0) / now.seconds_per_sample)
+        within = now.samples + max(rule.seconds - now.seconds, 0.0) / now.seconds_per_sample
+        ends.append((within,) * 3)
     told = predict(points, rule.relative_error, rule.confidence) if rule.relative_error else None
     if told is not None:
-        ends.append(told.samples)
+        high = math.inf if points[-1].of_few else told.samples_high
+        ends.append((told.samples, told.samples_low, high))
     if not ends:
         return None
-    samples = min(ends)
-    return Forecast(samples, now.seconds + max(samples - now.samples, 0.0) * now.seconds_per_sample)
+    first = [min(numbers) for numbers in zip(*ends, strict=True)]
+    seconds = [now.seconds + max(n - now.samples, 0.0) * now.seconds_per_sample for n in first]
+    return Forecast(first[0], seconds[0], seconds[1], seconds[2] if math.isfinite(seconds[2]) else None)
 
 
 def progress_of(
@@ -73,8 +79,14 @@ def progress_of(
         relative_error_interval=error_interval(last, rule.confidence) if known and last else None,
         theta=fit.theta if fit and fit.points else None,
         predicted_seconds=told.seconds - now.seconds if told else None,
+        predicted_seconds_interval=_to_go(told, now, rule.confidence) if told else None,
         shortfall=shortfall(record.points, rule.relative_error, rule.confidence, rule.planned, rule.seconds),
     )
+
+
+def _to_go(told: Forecast, now: Now, confidence: float) -> Interval:
+    high = None if told.seconds_high is None else told.seconds_high - now.seconds
+    return Interval(low=told.seconds_low - now.seconds, high=high, confidence=confidence)
 
 
 def _share(rule: StopRule, told: Forecast | None, now: Now) -> float:

@@ -126,6 +126,9 @@ class ImageError:
     carriers: float = math.nan
     """How many pixels carry the error: (sum e)^2 / sum e^2 of their parts e in it; all where these are equal, one where one
     has it all."""
+    floor: float = 0.0
+    """The share of EPSILON in what variances are divided by, over blocks by their parts in the error: relative to the
+    picture's own brightness alone, relmse is 1 / (1 - floor) times as large, or more."""
 
     @property
     def known(self) -> bool:
@@ -184,7 +187,13 @@ def image_error(summaries: list[TileSummary]) -> ImageError:
         _psnr(mse, maximum),
         int(total),
         _carriers(variance / signal, squared / signal**2),
+        _floor(count * quotient, signal),
     )
+
+
+def _floor(parts: NDArray[Any], signal: NDArray[Any]) -> float:
+    total = math.fsum(parts)
+    return math.fsum(parts * (EPSILON / signal)) / total if total > 0 else 0.0
 
 
 def _carriers(parts: NDArray[Any], squared: NDArray[Any]) -> float:

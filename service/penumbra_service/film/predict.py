@@ -39,11 +39,13 @@ class Point:
     """Pixels that carry the error; NaN: not known."""
     of_few: bool = False
     """Whether these are so few that what a lower error will take has no upper bound."""
+    floor: float = 0.0
+    """The share of the error that the floor under dark blocks hides (error.ImageError)."""
 
 
 def point_of(samples: float, seconds: float, error: ImageError, upper: float) -> Point:
     """A check whose allowance is `upper`."""
-    found = (error.relmse, upper, error.deviation, error.mse, error.carriers, error.of_few)
+    found = (error.relmse, upper, error.deviation, error.mse, error.carriers, error.of_few, error.floor)
     return Point(samples, seconds, *found)
 
 

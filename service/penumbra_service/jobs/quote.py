@@ -16,7 +16,7 @@ from penumbra_service.film.error import normal_quantile
 from penumbra_service.film.predict import THETA_RANGE, error_at, fit_theta, predict, splitting_price
 from penumbra_service.film.stop import MIN_CHECK_SAMPLES, next_check
 from penumbra_service.jobs.pilot import PilotResult
-from penumbra_service.jobs.receipt import error_point
+from penumbra_service.jobs.receipt import error_point, too_dark
 
 DEAREST_SPLIT: Final = 1.3
 """Times the samples of one sequence that eight replicates may cost to be advised; else four are."""
@@ -217,6 +217,7 @@ def _doubts(scene: Scene, found: PilotResult) -> tuple[str, ...]:
         said.append(
             f"{share} of the pilot's pixels are flagged: rare bright samples may make the real cost far higher"
         )
+    said += too_dark(found.points)
     if found.rejected_share > 0:
         said.append(
             f"{100 * found.rejected_share:.2g} % of the pilot's samples were NaN, infinite or negative"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib import metadata
@@ -30,7 +31,7 @@ from penumbra_scene.receipt import (
 )
 from penumbra_scene.scene import Scene
 
-from penumbra_service.film.error import normal_quantile
+from penumbra_service.film.error import EPSILON, normal_quantile
 from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta
 from penumbra_service.jobs.record import AdaptiveUse, RunRecord
@@ -39,6 +40,10 @@ from penumbra_service.jobs.shortfall import shortfall
 
 DISTRIBUTIONS: Final = ("penumbra-render", "numpy", "pyopencl", "pocl-binary-distribution", "OpenImageIO")
 """Whose versions a receipt names."""
+
+
+MOSTLY_FLOOR: Final = 0.5
+"""Of ImageError.floor: relative to the picture's own brightness, its error is 1.4 times as large or more."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,13 @@ def build_receipt(
         redone_leases=record.redone_leases,
         resumed=record.resumed,
         checked_leases=record.checked_leases,
-        warnings=(*record.warnings, *context.warnings, *_missed(scene, record, reason), *_of_few(record)),
+        warnings=(
+            *record.warnings,
+            *context.warnings,
+            *_missed(scene, record, reason),
+            *_of_few(record),
+            *too_dark(record.points),
+        ),
     )
 
 
@@ -136,6 +147,19 @@ def _of_few(record: RunRecord) -> tuple[str, ...]:
     return (
         f"some {pixels:.0f} pixels carry the picture's error: rare bright samples make it, so that it is little known, and a "
         "longer render may meet brighter ones",
+    )
+
+
+def too_dark(points: Sequence[Point]) -> tuple[str, ...]:
+    """Where the floor that relmse gives dark blocks hides most of the newest error."""
+    if not points or not points[-1].floor > MOSTLY_FLOOR:
+        return ()
+    floor = points[-1].floor
+    times = 1 / math.sqrt(max(1 - floor, 1e-12))
+    return (
+        f"the picture is dark: the {EPSILON:g} added to squared radiance is {100 * floor:.0f} % of what its error is measured "
+        f"against, so that an error target is met early; relative to its own brightness the error is {times:.2g} times as "
+        "large or more. Brighter lights, or a smaller target, mend that",
     )
 
 

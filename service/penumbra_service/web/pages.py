@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from markupsafe import Markup
-from penumbra_scene.job import ErrorPoint, FrameCounts, FrameStatus, JobState, JobStatus
+from penumbra_scene.job import ErrorPoint, FrameCounts, FrameStatus, JobState, JobStatus, Progress
 from penumbra_scene.receipt import AdaptiveReport, Counts, Receipt
 from pydantic import ValidationError
 
@@ -107,7 +107,7 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
         ("Relative error", error_in_words(status)),
     ]
     if not status.state.ended:
-        facts.append(("Still to go", words.duration(status.predicted_seconds)))
+        facts.append(("Still to go", to_go(status)))
     if status.theta is not None:
         facts.append(("Variance falls as", _power(status.theta)))
     facts += [
@@ -121,6 +121,16 @@ def _facts(status: JobStatus) -> tuple[tuple[str, str], ...]:
         what = "Ended because" if status.state.ended else "Paused because"
         facts.append((what, words.REASONS[status.stop_reason]))
     return tuple(facts)
+
+
+def to_go(status: Progress) -> str:
+    """'12 s (9–16 s)', or 'at least 12 s' where few pixels carry the error."""
+    text, interval = words.duration(status.predicted_seconds), status.predicted_seconds_interval
+    if status.predicted_seconds is None or interval is None or interval.low == interval.high:
+        return text
+    if interval.high is None:
+        return f"at least {text}"
+    return f"{text} ({words.duration(interval.low)}–{words.duration(interval.high)})"
 
 
 def _frames(counts: FrameCounts) -> str:

@@ -240,6 +240,17 @@ def test_the_pixels_that_carry_an_error_are_counted():
     assert not many.of_few
 
 
+@pytest.mark.parametrize("brightness", [0.01, 0.1, 1.0])
+def test_the_floors_share_is_that_of_what_is_added(brightness):  # type: ignore[no-untyped-def]
+    """Signal s: the share is eps / (s^2 + eps), and 1 / (1 - share) times relmse is V / s^2."""
+    rng = np.random.default_rng(12)
+    sigma = 0.1 * brightness
+    pixels = _stats(_sums(brightness + sigma * rng.standard_normal((R, 64, 64))))
+    error = image_error([summarize(pixels)])
+    assert error.floor == pytest.approx(EPSILON / (brightness**2 + EPSILON), rel=0.01)
+    assert error.relmse / (1 - error.floor) == pytest.approx(sigma**2 / R / brightness**2, rel=0.05)
+
+
 def test_a_black_picture_has_no_error():
     pixels = _stats(_sums(np.zeros((R, 32, 32))))
     error = image_error([summarize(pixels)])

@@ -14,10 +14,11 @@ from penumbra_service.jobs.quote import build_quote
 from penumbra_service.web.quotes import quote_view
 
 
-def quoted(stop: dict[str, Any], carriers: float, *, of_few: bool) -> Quote:
+def quoted(stop: dict[str, Any], carriers: float, *, of_few: bool, floor: float = 0.0) -> Quote:
     scene = Scene.model_validate({"version": 1, "camera": {"type": "perspective"}, "stop": stop})
     points = [
-        Point(n, n / 50, 1 / n, 1.2 / n, 0.1, 1 / n, carriers, of_few and n == 128) for n in (16, 32, 64, 128)
+        Point(n, n / 50, 1 / n, 1.2 / n, 0.1, 1 / n, carriers, of_few and n == 128, floor)
+        for n in (16, 32, 64, 128)
     ]
     found = PilotResult(
         choose_layout(scene.sampler, scene.stop), points, 30, 30, 7680, 2.0, 0.02, rate_deviation=0.05
@@ -41,6 +42,12 @@ def test_the_numbers_are_those_that_would_have_a_bound() -> None:
     assert few.end.seconds_interval.low == many.end.seconds_interval.low
     assert (many.end.seconds_interval.high or 0) > many.end.seconds
     assert not any("pixels" in warning for warning in many.warnings)
+
+
+def test_a_dark_picture_has_a_warning() -> None:
+    dark, plain = (quoted({"relative_error": 0.05}, 900.0, of_few=False, floor=f) for f in (0.75, 0.3))
+    assert any("dark" in warning and "75 %" in warning and "2 times" in warning for warning in dark.warnings)
+    assert not plain.warnings
 
 
 @pytest.mark.parametrize("stop", [{"samples": 64}, {"seconds": 10.0}])

@@ -142,6 +142,15 @@ def test_an_error_that_few_pixels_carry_is_told(scene):  # type: ignore[no-untyp
         assert any("some 3 pixels carry" in warning for warning in told) == of_few
 
 
+def test_a_dark_picture_is_told_that_the_floor_hides_its_error(scene):  # type: ignore[no-untyped-def]
+    for floor, said in ((0.5, False), (0.96, True)):
+        record = _record(points=[Point(64, 1.0, 1e-3, 2e-3, 0.5, 1e-3, 900.0, floor=floor)])
+        told = build_receipt(scene, record, StopReason.SAMPLES, CONTEXT).warnings
+        assert (
+            any("dark" in warning and "96 %" in warning and "5 times" in warning for warning in told) == said
+        )
+
+
 def test_an_error_far_beyond_a_scenes_numbers_is_told(scene):  # type: ignore[no-untyped-def]
     """Radiance may be 1e18, and its variance is squared radiance."""
     record = _record(points=[Point(64, 1.0, 1e30, 1e30, 0.0, 1e76)])
