@@ -98,7 +98,7 @@ static inline RayAxes lane_axes(const WideRay16 *w, const uint k) {
 static inline bool hit_triangles_of(const EightTriangles *e, const RayAxes *axes, const SceneData *scene, const uint packet,
                                     const Rays16 *r, const uint k, const bool any, Best16 *h) {
   float8 t, b1, b2;
-  const uint mask = meet_triangles(e, axes, LANE_F(h->t, k), any, true, &t, &b1, &b2);
+  const uint mask = meet_triangles(e, axes, LANE_F(h->t, k), any, !PENUMBRA_512, &t, &b1, &b2);
   if (mask && !any) offer_lane16(mask, scene->packets + packet, packet, r->instance, k, t, b1, b2, h);
   return mask != 0u;
 }
