@@ -24,7 +24,7 @@ from penumbra_scene.materials import (
     ThinDielectric,
 )
 from penumbra_scene.scene import Scene
-from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Sphere
+from penumbra_scene.shapes import Disc, Instance, Mesh, Plane, Quad, Sphere
 from penumbra_scene.transforms import Transform
 
 from penumbra_kernels.compile.materials import has_delta_lobe, widths
@@ -67,6 +67,11 @@ TREE_LAMPS: Final = {(False, False): 2, (False, True): 3, (True, False): 5, (Tru
 choice where the scene names none (docs/lights.md). A sky alone is sampled well without it."""
 
 
+FEW_PRIMITIVES: Final = 256
+"""Triangles, spheres, discs and instances up to which rays go through the trees sixteen together, so that programs leave out
+rays in flight (docs/decisions/0015-sixteen-paths-in-lanes.md)."""
+
+
 @dataclass(frozen=True)
 class Feature:
     """One effect's verdict."""
@@ -87,6 +92,8 @@ class Features:
     area_sampling: bool
     adaptive: bool = False
     """Whether pixels take different numbers of samples; like the layers, it is no effect but asked for."""
+    large_trees: bool = False
+    """Whether there may be more than FEW_PRIMITIVES to meet. No effect: the bits are the same either way."""
 
     def __contains__(self, name: str) -> bool:
         return any(v.name == name and v.present for v in self.verdicts)
@@ -97,17 +104,19 @@ class Features:
 
     def flags(self) -> dict[str, int]:
         """Macros of the program that has just these effects."""
-        return self._flags({v.name: v.present for v in self.verdicts})
+        return self._flags({v.name: v.present for v in self.verdicts}, self.large_trees)
 
     def generic_flags(self) -> dict[str, int]:
         """Macros of the program that has every effect; layers stay as asked, since they change what is written."""
-        return self._flags({v.name: v.present if v.name == "layers" else True for v in self.verdicts})
+        present = {v.name: v.present if v.name == "layers" else True for v in self.verdicts}
+        return self._flags(present, large_trees=True)
 
-    def _flags(self, present: dict[str, bool]) -> dict[str, int]:
+    def _flags(self, present: dict[str, bool], large_trees: bool) -> dict[str, int]:
         flags = {f"PENUMBRA_{name.upper()}": int(present[name]) for name in EFFECTS}
         flags["PENUMBRA_SAMPLER"] = CONSTANTS[f"SAMPLER_{self.sampler.upper()}"]
         flags["PENUMBRA_LIGHT_AREA_SAMPLING"] = int(self.area_sampling)
         flags["PENUMBRA_ADAPTIVE"] = int(self.adaptive)
+        flags["PENUMBRA_LARGE_TREES"] = int(large_trees)
         return flags
 
 
@@ -141,8 +150,25 @@ def analyse(scene: Scene, time: float = 0.0) -> Features:
     frame = Frame(scene, time)
     verdicts = tuple(_verdict(scene, name, next(iter(_FINDERS[name](frame)), None)) for name in EFFECTS)
     return Features(
-        verdicts, scene.sampler.type, scene.integrator.light_sampling == "area", scene.adaptive is not None
+        verdicts,
+        scene.sampler.type,
+        scene.integrator.light_sampling == "area",
+        scene.adaptive is not None,
+        _has_large_trees(scene),
     )
+
+
+def _has_large_trees(scene: Scene) -> bool:
+    """Meshes from assets count as large: how many triangles they have is not known here."""
+    count = 0
+    for _, shape in placed_shapes(scene):
+        if isinstance(shape, Mesh):
+            if shape.indices is None:
+                return True
+            count += len(shape.indices)
+        else:
+            count += 2 if isinstance(shape, Quad) else 1
+    return count > FEW_PRIMITIVES
 
 
 def _verdict(scene: Scene, effect: str, use: Use | None) -> Feature:

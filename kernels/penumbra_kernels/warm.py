@@ -42,14 +42,25 @@ USUAL: Final[tuple[frozenset[str], ...]] = tuple(
 )
 """Effects of a program each."""
 
+LARGE: Final[tuple[frozenset[str], ...]] = tuple(
+    frozenset(words.split())
+    for words in (
+        "round area_lights many_lights environment gloss indirect",
+        "round area_lights many_lights light_tree environment indirect",
+        "deformation round area_lights many_lights environment gloss textures indirect",
+        "motion instancing round area_lights many_lights environment gloss textures indirect",
+    )
+)
+"""Those of them that there is one more of, for large trees."""
+
 
 def features_of(
-    effects: Iterable[str], sampler: str = DEFAULT_SAMPLER, *, adaptive: bool = False
+    effects: Iterable[str], sampler: str = DEFAULT_SAMPLER, *, adaptive: bool = False, large: bool = False
 ) -> Features:
     """The verdicts of some scene that has just these effects."""
     present = set(effects)
     verdicts = tuple(Feature(name, name in present, "usual") for name in EFFECTS)
-    return Features(verdicts, sampler, area_sampling=False, adaptive=adaptive)
+    return Features(verdicts, sampler, area_sampling=False, adaptive=adaptive, large_trees=large)
 
 
 def _generic(sampler: str) -> Iterator[tuple[str, dict[str, int]]]:
@@ -64,6 +75,9 @@ def _generic(sampler: str) -> Iterator[tuple[str, dict[str, int]]]:
 def _usual(sampler: str) -> Iterator[tuple[str, dict[str, int]]]:
     for effects in USUAL:
         yield f"{sampler}: {' '.join(sorted(effects))}", features_of(effects, sampler).flags()
+    for effects in LARGE:
+        words = ["large trees", *sorted(effects)]
+        yield f"{sampler}: {', '.join(words)}", features_of(effects, sampler, large=True).flags()
 
 
 def usual_programs(samplers: Sequence[str] = ()) -> Iterator[tuple[str, dict[str, int]]]:

@@ -49,6 +49,19 @@ def test_sixteen_paths_are_sixteen_times_one(
     _assert_alike(document, devices, FolderAssets(tmp_path_factory.mktemp("assets"), path.parent), "generic")
 
 
+@pytest.mark.parametrize("lights", ["one", "all"])
+def test_so_they_are_in_flight_through_large_trees(
+    lights: str, devices: tuple[Device, Device], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The last ray of a hit to a light waits for those of all vectors, others do not."""
+    path = EXAMPLES[0].parent / "big_mesh.json"
+    document = json.loads(path.read_text())
+    document["integrator"] = {"max_bounces": 6, "roulette_start": 2, "shadow_rays": 2}
+    document["integrator"]["light_selection"] = "power" if lights == "one" else "all"
+    assets = FolderAssets(tmp_path_factory.mktemp("assets"), path.parent)
+    _assert_alike(document, devices, assets, "specialised")
+
+
 @pytest.mark.parametrize(
     "integrator", [{}, {"shadow_rays": 3, "light_selection": "all"}], ids=["one", "many"]
 )

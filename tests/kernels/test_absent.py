@@ -71,6 +71,7 @@ def flags_of(*effects: str) -> dict[str, int]:
         "PENUMBRA_SAMPLER": 5,
         "PENUMBRA_LIGHT_AREA_SAMPLING": 0,
         "PENUMBRA_ADAPTIVE": 0,
+        "PENUMBRA_LARGE_TREES": 0,
         **DEVICE,
     }
 

@@ -356,6 +356,22 @@ def test_every_verdict_says_where() -> None:
     assert next(v.reason for v in features.verdicts if v.name == "transmission") == "materials/m transmits"
 
 
+def test_large_trees_are_those_of_meshes_from_assets_and_of_many_things() -> None:
+    def of(*shapes: dict[str, Any]) -> dict[str, int]:
+        return analyse(Scene.model_validate({**BASE, "shapes": list(shapes)})).flags()
+
+    ball, mesh = (
+        {"type": "sphere", "radius": 1},
+        {"type": "mesh", "positions": [[0, 0, 0], [1, 0, 0], [0, 1, 0]]},
+    )
+    assert not of(*[ball] * 256)["PENUMBRA_LARGE_TREES"]
+    assert of(*[ball] * 257)["PENUMBRA_LARGE_TREES"]
+    assert not of({**mesh, "indices": [[0, 1, 2]] * 256})["PENUMBRA_LARGE_TREES"]
+    assert of({**mesh, "indices": [[0, 1, 2]] * 255}, {"type": "quad"})["PENUMBRA_LARGE_TREES"]
+    assert of({"type": "mesh", "source": {"asset": "sha256:" + 64 * "0"}})["PENUMBRA_LARGE_TREES"]
+    assert analyse(Scene.model_validate(BASE)).generic_flags()["PENUMBRA_LARGE_TREES"]
+
+
 def test_flags_are_numbers_for_every_effect() -> None:
     features = analyse(Scene.model_validate(BASE))
     for flags in (features.flags(), features.generic_flags()):

@@ -11,7 +11,7 @@ import pytest
 from penumbra_kernels.device import devices
 from penumbra_kernels.features import analyse
 from penumbra_kernels.layout import CONSTANTS
-from penumbra_kernels.warm import SAMPLERS, USUAL, features_of, usual_programs
+from penumbra_kernels.warm import LARGE, SAMPLERS, USUAL, features_of, usual_programs
 from penumbra_scene.exits import Exit
 from penumbra_scene.parse import parse_scene
 from penumbra_service.commands import CommandError
@@ -33,10 +33,9 @@ def run(*words: str) -> int:
 
 
 def test_the_usual_programs_are_those_of_the_examples() -> None:
-    found = {
-        frozenset(analyse(parse_scene(path.read_bytes(), allow_files=True)).present)
-        for path in EXAMPLES.glob("*.json")
-    }
+    features = [analyse(parse_scene(path.read_bytes(), allow_files=True)) for path in EXAMPLES.glob("*.json")]
+    found = {frozenset(f.present) for f in features}
+    assert set(LARGE) == {frozenset(f.present) for f in features if f.large_trees}
     assert set(USUAL) <= found
     assert len(found - set(USUAL)) <= len(found) // 5, "add the new examples' effects to USUAL"
     assert len(USUAL) == len(set(USUAL))

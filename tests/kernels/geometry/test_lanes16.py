@@ -153,7 +153,10 @@ class Lanes:
     """The program with a set of effects."""
 
     def __init__(self, device: Device, kind: dict[str, int], **effects: int) -> None:
-        flags = {f"PENUMBRA_{name}": effects.get(name, 1) for name in EFFECTS} | {"PENUMBRA_GLOSS": 1}
+        flags = {f"PENUMBRA_{name}": effects.get(name, 1) for name in EFFECTS} | {
+            "PENUMBRA_GLOSS": 1,
+            "PENUMBRA_LARGE_TREES": 1,
+        }
         cpu = {"PENUMBRA_DEVICE_GPU": 0, "PENUMBRA_COMPACT_TREE": 0}
         self.device = device
         self.kernel = device.build("probe.cl", {**flags, **device.flags, **cpu, **kind}, TEXT).probe

@@ -13,6 +13,13 @@ typedef struct {
   uint16 kind, primitive, instance, lane;
 } Hit16;
 
+// Sixteen rays, and what those that are on meet.
+typedef struct {
+  const Ray16 *rays;
+  Mask16 on, found;
+  Hit16 hit;  // where any hit will do it means nothing
+} Wing16;
+
 typedef struct {
   Vec16 p, p_error, ng, ns, tangent;
   float16 u, v;

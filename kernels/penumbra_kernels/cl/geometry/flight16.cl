@@ -1,4 +1,4 @@
-// Sixteen rays in flight through a large tree, each on its own way: in a round every ray takes one step, visits a node or meets the
+// Rays in flight through a large tree, each on its own way: in a round every ray takes one step, visits a node or meets the
 // triangles of a leaf, so that the others work while one waits for memory. Steps have no branches that a processor would guess
 // wrong: children are sorted by a network, triangles met to the end. Each ray meets what traverse.cl finds for it, bit for bit, as
 // the order of visits never shows (hit_beats). Metres, seconds.
@@ -6,7 +6,9 @@
 #include "geometry/triangle16.cl"
 
 #define FLIGHT_STACK (STACK_SIZE + 8u)  // a visit writes eight children, those that are met first
-#define FLIGHT_PACKETS (2u * LANES + 1u)  // accel/wide.py makes no leaf of more than two
+#define FLIGHT_WINGS 4u                 // more vectors fly one after the other
+#define FLYING (FLIGHT_WINGS * LANES)
+#define FLIGHT_PACKETS (2u * FLYING + 1u)  // accel/wide.py makes no leaf of more than two
 
 #if PENUMBRA_BUILTINS
 typedef int8 LooseInt8 __attribute__((aligned(4)));
@@ -69,19 +71,19 @@ static inline void slabs16(const WideRay16 *w, Slabs16 *s) {
   s->near_z = as_uint16(32 + (back_z & 8));
 }
 
-// Where each ray is. Children wait under keys: t at which the ray enters, its last three bits replaced by the child's number.
+// Where each ray is: ray k is lane k % LANES of wing k / LANES. Children wait under keys: t at which the ray enters, its last three bits replaced by the child's number.
 typedef struct {
-  WideRay16 wide;  // in the frame of the tree that the ray is in, of what triangles ask for
-  Slabs16 slabs;
+  WideRay16 wide[FLIGHT_WINGS];  // in the frame of the tree that the ray is in, of what triangles ask for
+  Slabs16 slabs[FLIGHT_WINGS];
 #if PENUMBRA_ROUND || PENUMBRA_INSTANCING
-  Vec16 o, d;
+  Vec16 o[FLIGHT_WINGS], d[FLIGHT_WINGS];
 #endif
-  uint instance[LANES];
-  Hit best[LANES];
-  uint word[LANES];  // where it goes in this round
-  uint size[LANES];
-  int keys[LANES][FLIGHT_STACK];
-  uint words[LANES][FLIGHT_STACK];
+  uint instance[FLYING];
+  Hit best[FLYING];
+  uint word[FLYING];  // where it goes in this round
+  uint size[FLYING];
+  int keys[FLYING][FLIGHT_STACK];
+  uint words[FLYING][FLIGHT_STACK];
 } Flight;
 
 // Ray k behind `count` others, or not: without a branch. How many there are then.
@@ -95,9 +97,12 @@ static inline void push_child(Flight *f, const uint k, const int key, const uint
   f->words[k][f->size[k]++] = word;
 }
 
-// Ray k as wide_ray prepares it.
-static inline WideRay flying_ray(const Flight *f, const uint k) {
-  const Slabs16 *s = &f->slabs;
+// Ray k as wide_ray prepares it: for triangles, and all of it.
+static inline RayAxes flying_axes(const Flight *f, const uint k) { return lane_axes(f->wide + k / LANES, k % LANES); }
+
+static inline WideRay flying_ray(const Flight *f, const uint ray) {
+  const uint wing = ray / LANES, k = ray % LANES;
+  const Slabs16 *s = f->slabs + wing;
   WideRay out;
   out.near_ox = LANE_F(s->near_ox, k);
   out.near_oy = LANE_F(s->near_oy, k);
@@ -114,10 +119,10 @@ static inline WideRay flying_ray(const Flight *f, const uint k) {
   out.near_x = LANE_U(s->near_x, k);
   out.near_y = LANE_U(s->near_y, k);
   out.near_z = LANE_U(s->near_z, k);
-  out.axes = lane_axes(&f->wide, k);
+  out.axes = flying_axes(f, ray);
 #if PENUMBRA_ROUND || PENUMBRA_INSTANCING
-  out.o = lane3(&f->o, k);
-  out.d = lane3(&f->d, k);
+  out.o = lane3(f->o + wing, k);
+  out.d = lane3(f->d + wing, k);
 #endif
   return out;
 }
@@ -153,10 +158,13 @@ static inline void end_ray(Flight *f, const uint k) {
 }
 
 #if PENUMBRA_INSTANCING
+static inline Ray flying_from(const Wing16 *wings, const uint k) { return lane_ray(wings[k / LANES].rays, k % LANES); }
+
 // Ray k goes on in another frame.
-static inline void set_frame(Flight *f, const uint k, const WideRay *w, const uint instance) {
-  Slabs16 *slabs = &f->slabs;
-  WideRay16 *to = &f->wide;
+static inline void set_frame(Flight *f, const uint ray, const WideRay *w, const uint instance) {
+  const uint wing = ray / LANES, k = ray % LANES;
+  Slabs16 *slabs = f->slabs + wing;
+  WideRay16 *to = f->wide + wing;
   LANE_F(slabs->near_ox, k) = w->near_ox.s0;
   LANE_F(slabs->near_oy, k) = w->near_oy.s0;
   LANE_F(slabs->near_oz, k) = w->near_oz.s0;
@@ -181,15 +189,15 @@ static inline void set_frame(Flight *f, const uint k, const WideRay *w, const ui
   LANE_F(to->sx, k) = w->axes.sx.s0;
   LANE_F(to->sy, k) = w->axes.sy.s0;
   LANE_F(to->sz, k) = w->axes.sz.s0;
-  set_lane3(&f->o, k, w->o);
-  set_lane3(&f->d, k, w->d);
-  f->instance[k] = instance;
+  set_lane3(f->o + wing, k, w->o);
+  set_lane3(f->d + wing, k, w->d);
+  f->instance[ray] = instance;
 }
 
 // Ray k, in the world, meets an instance.
-static inline void step_into(const SceneData *scene, const Ray16 *rays, Flight *f, const uint k) {
+static inline void step_into(const SceneData *scene, const Wing16 *wings, Flight *f, const uint k) {
   const uint index = f->word[k] & LEAF_INSTANCE_MASK;
-  const Ray ray = lane_ray(rays, k);
+  const Ray ray = flying_from(wings, k);
   const WideRay world = flying_ray(f, k);
   WideRay inside;
   if (!enter_instance(scene, index, &ray, &world, f->best[k].t, &inside)) return;
@@ -199,30 +207,31 @@ static inline void step_into(const SceneData *scene, const Ray16 *rays, Flight *
   set_frame(f, k, &inside, index);
 }
 
-static inline void step_back(const Ray16 *rays, Flight *f, const uint k) {
+static inline void step_back(const Wing16 *wings, Flight *f, const uint k) {
+  const Ray ray = flying_from(wings, k);
   WideRay world;
-  wide_ray(lane3(&rays->o, k), lane3(&rays->d, k), &world);
+  wide_ray(ray.o, ray.d, &world);
   set_frame(f, k, &world, NONE);
 }
 #endif
 
 // What is no leaf of triangles that stand still, ray by ray; whether it was that.
-static inline bool step_to_other(const SceneData *scene, const Ray16 *rays, Flight *f, const uint k, const bool any) {
+static inline bool step_to_other(const SceneData *scene, const Wing16 *wings, Flight *f, const uint k, const bool any) {
 #if PENUMBRA_ROUND || PENUMBRA_DEFORMATION || PENUMBRA_INSTANCING
   const uint word = f->word[k], type = (word >> LEAF_TYPE_SHIFT) & 3u;
   if (type == LEAF_TRIANGLES) return false;
 #if PENUMBRA_INSTANCING
   if (word == BACK_TO_WORLD) {
-    step_back(rays, f, k);
+    step_back(wings, f, k);
     return true;
   }
   if (type == LEAF_INSTANCE) {
-    step_into(scene, rays, f, k);
+    step_into(scene, wings, f, k);
     return true;
   }
 #endif
   const WideRay w = flying_ray(f, k);
-  if (hit_leaf(scene, word, &w, LANE_F(rays->time, k), f->instance[k], any, f->best + k) && any) end_ray(f, k);
+  if (hit_leaf(scene, word, &w, LANE_F(wings[k / LANES].rays->time, k % LANES), f->instance[k], any, f->best + k) && any) end_ray(f, k);
   return true;
 #else
   return false;
@@ -250,7 +259,7 @@ static inline uint meet_packets(const SceneData *scene, const Flight *f, const b
   uint hits = 0u;
   for (uint i = 0u; i < count; i++) {
     const uint k = m->lane[i];
-    const RayAxes axes = lane_axes(&f->wide, k);
+    const RayAxes axes = flying_axes(f, k);
     EightTriangles e;
     load_triangles(scene->packets + m->packet[i], &axes, &e);
     const uint mask = meet_triangles(&e, &axes, f->best[k].t, any, false, m->t + hits, m->u + hits, m->v + hits);
@@ -270,8 +279,8 @@ static inline void take_hits(const SceneData *scene, const bool any, const uint 
 }
 
 // One round: where every ray that still flies goes, and its step there. How many fly on.
-static inline uint fly_on(const SceneData *scene, const Ray16 *rays, const bool any, const uint count, uint *flying, Flight *f) {
-  uint to_nodes[LANES + 1u], to_leaves[LANES + 1u];
+static inline uint fly_on(const SceneData *scene, const Wing16 *wings, const bool any, const uint count, uint *flying, Flight *f) {
+  uint to_nodes[FLYING + 1u], to_leaves[FLYING + 1u];
   Meetings m;
   uint left = 0u, nodes = 0u, leaves = 0u, packets = 0u;
   for (uint i = 0u; i < count; i++) {
@@ -286,45 +295,55 @@ static inline uint fly_on(const SceneData *scene, const Ray16 *rays, const bool 
   for (uint i = 0u; i < nodes; i++) step_to_node(scene, f, to_nodes[i]);
   for (uint i = 0u; i < leaves; i++) {
     const uint k = to_leaves[i];
-    if (!step_to_other(scene, rays, f, k, any)) packets = add_packets(&m, packets, k, f->word[k]);
+    if (!step_to_other(scene, wings, f, k, any)) packets = add_packets(&m, packets, k, f->word[k]);
   }
   take_hits(scene, any, meet_packets(scene, f, any, packets, &m), &m, f);
   return left;
 }
 
-// Ray k at the tree's root; false where it has ended already.
-static inline bool take_off(const SceneData *scene, const Ray16 *rays, const uint k, const bool any, Flight *f) {
-  f->best[k] = no_hit(LANE_F(rays->tmax, k));
-  f->instance[k] = NONE;
-  f->size[k] = 0u;
-#if PENUMBRA_ROUND
-  const Ray ray = lane_ray(rays, k);
-  if (hit_planes(scene, &ray, any, f->best + k) && any) {
-    end_ray(f, k);
-    return false;
-  }
+// The rays of a wing at the tree's root, behind `count` others that fly. How many there are then.
+static inline uint take_off(const SceneData *scene, const Wing16 *w, const uint wing, const bool any, uint count, uint *flying,
+                            Flight *f) {
+  WideRay16 *wide = f->wide + wing;
+  wide_ray16(&w->rays->o, &w->rays->d, wide);
+  slabs16(wide, f->slabs + wing);
+#if PENUMBRA_ROUND || PENUMBRA_INSTANCING
+  f->o[wing] = w->rays->o;
+  f->d[wing] = w->rays->d;
 #endif
-  push_child(f, k, 0, scene->root);
-  return LANE_I(f->wide.is_ray, k) != 0;
+  for (LANES_OF(k, w->on)) {
+    const uint ray = wing * LANES + k;
+    f->best[ray] = no_hit(LANE_F(w->rays->tmax, k));
+    f->instance[ray] = NONE;
+    f->size[ray] = 0u;
+    push_child(f, ray, 0, scene->root);
+#if PENUMBRA_ROUND
+    const Ray one = lane_ray(w->rays, k);
+    if (hit_planes(scene, &one, any, f->best + ray) && any) end_ray(f, ray);
+#endif
+    count = add_ray(flying, count, ray, LANE_I(wide->is_ray, k) != 0);
+  }
+  return count;
 }
 
-// The lanes of `on` that meet anything, and, unless any hit will do, what first.
-static PENUMBRA_NOINLINE PENUMBRA_WIDE Mask16 fly16(const SceneData *scene, const Ray16 *rays, const Mask16 on, const bool any,
-                                                    Hit16 *hit) {
-  Flight f[1];
-  uint flying[LANES + 1u], count = 0u;
-  wide_ray16(&rays->o, &rays->d, &f->wide);
-  slabs16(&f->wide, &f->slabs);
-#if PENUMBRA_ROUND || PENUMBRA_INSTANCING
-  f->o = rays->o;
-  f->d = rays->d;
-#endif
-  for (LANES_OF(k, on)) count = add_ray(flying, count, k, take_off(scene, rays, k, any, f));
-  while (count) count = fly_on(scene, rays, any, count, flying, f);
-  Mask16 found = 0;
-  for (LANES_OF(k, on)) {
-    LANE_I(found, k) = f->best[k].kind != NONE ? -1 : 0;
-    if (!any) set_lane_hit(hit, k, f->best[k]);
+static inline void land(const Flight *f, const uint wing, const bool any, Wing16 *w) {
+  w->found = 0;
+  for (LANES_OF(k, w->on)) {
+    const Hit *best = f->best + wing * LANES + k;
+    LANE_I(w->found, k) = best->kind != NONE ? -1 : 0;
+    if (!any) set_lane_hit(&w->hit, k, *best);
   }
-  return found;
+}
+
+// All rays of the wings that are on: what each meets first, or whether it meets anything.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void fly16(const SceneData *scene, Wing16 *wings, const uint count, const bool any) {
+  Flight f[1];
+  uint flying[FLYING + 1u];
+  for (uint first = 0u; first < count; first += FLIGHT_WINGS) {
+    const uint last = MIN(first + FLIGHT_WINGS, count);
+    uint left = 0u;
+    for (uint w = first; w < last; w++) left = take_off(scene, wings + w, w - first, any, left, flying, f);
+    while (left) left = fly_on(scene, wings + first, any, left, flying, f);
+    for (uint w = first; w < last; w++) land(f, w - first, any, wings + w);
+  }
 }

@@ -2,8 +2,10 @@
 // waits for its own branches. Each ray meets what traverse.cl finds for it, bit for bit. An instance is a leaf of the world's tree:
 // the rays that meet it go on in its own tree, each in the frame that the instance has at its time. Metres, seconds.
 #include "geometry/intersect.cl"
-#include "geometry/flight16.cl"
 #include "geometry/triangle16.cl"
+#if PENUMBRA_LARGE_TREES
+#include "geometry/flight16.cl"
+#endif
 #if PENUMBRA_ROUND
 #include "geometry/round16.cl"
 #endif
@@ -138,7 +140,16 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void traverse16(const SceneData *scene, c
 
 // The first hit of each ray, of kind NONE where there is none; the lanes of `on` that have one.
 static inline Mask16 intersect16(const SceneData *scene, const bool together, const Ray16 *ray, const Mask16 on, Hit16 *hit) {
-  if (!together) return fly16(scene, ray, on, false, hit);
+#if PENUMBRA_LARGE_TREES
+  if (!together) {
+    Wing16 wing;
+    wing.rays = ray;
+    wing.on = on;
+    fly16(scene, &wing, 1u, false);
+    *hit = wing.hit;
+    return wing.found;
+  }
+#endif
   Best16 best;
   traverse16(scene, ray, on, false, &best);
   hit->t = best.t;
@@ -157,10 +168,15 @@ static inline Mask16 intersect16(const SceneData *scene, const bool together, co
 
 // The lanes of `on` whose ray meets anything before its end.
 static inline Mask16 occluded16(const SceneData *scene, const bool together, const Ray16 *ray, const Mask16 on) {
+#if PENUMBRA_LARGE_TREES
   if (!together) {
-    Hit16 hit;
-    return fly16(scene, ray, on, true, &hit);
+    Wing16 wing;
+    wing.rays = ray;
+    wing.on = on;
+    fly16(scene, &wing, 1u, true);
+    return wing.found;
   }
+#endif
   Best16 best;
   traverse16(scene, ray, on, true, &best);
   return best.found;

@@ -62,12 +62,60 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void pack_paths16(Batch16 *batch, const u
   batch->moved = true;
 }
 
+#if PENUMBRA_LARGE_TREES
+#define FLOWN VECTORS  // vectors whose rays and hits are kept at once
+
+// What the rays of all vectors meet.
+static inline void fly_batch16(const SceneData *scene, Batch16 *batch, Wing16 *wings) {
+  for (uint w = 0u; w < batch->vectors; w++) {
+    wings[w].rays = &batch->paths[w].ray;
+    wings[w].on = batch->on[w];
+  }
+  fly16(scene, wings, batch->vectors, false);
+}
+
+// Light that the vectors wait for.
+static inline void gather_waiting16(const SceneData *scene, const __global Params *params, Batch16 *batch, Waiting16 *waiting,
+                                    Wing16 *wings) {
+  uint of[VECTORS], count = 0u;
+  for (uint w = 0u; w < batch->vectors; w++) {
+    if (!any16(waiting[w].lit)) continue;
+    of[count] = w;
+    wings[count].rays = &waiting[w].rays.ray;
+    wings[count++].on = waiting[w].lit;
+  }
+  if (count) fly16(scene, wings, count, true);
+  for (uint i = 0u; i < count; i++) {
+    Waiting16 *at = waiting + of[i];
+    Paths16 *p = batch->paths + of[i];
+    arrive16(&at->rays, at->lit & ~wings[i].found, p, &at->direct);
+    gather_light16(params, at, p);
+  }
+}
+#else
+#define FLOWN 1u
+#endif
+
 // All paths of a batch, from their camera rays to their ends.
 static inline void trace_batch16(const SceneData *scene, const __global Params *params, Batch16 *batch) {
   const uint lights = direct_count(scene, params);
+  Wing16 wings[FLOWN];
+  Waiting16 waiting[FLOWN];
   for (uint bounce = 0u; batch->vectors; bounce++) {
-    for (uint w = 0u; w < batch->vectors; w++)
-      batch->on[w] = bounce16(scene, params, batch->samplers + w, bounce, lights, batch->on[w], batch->paths + w);
+    const bool together = together16(params, bounce == 0u);
+#if PENUMBRA_LARGE_TREES
+    if (!together) fly_batch16(scene, batch, wings);
+#endif
+    for (uint w = 0u; w < batch->vectors; w++) {
+      Paths16 *p = batch->paths + w;
+      Wing16 *met = wings + w % FLOWN;
+      const Mask16 on = batch->on[w];
+      if (together) met->found = on & intersect16(scene, true, &p->ray, on, &met->hit);
+      batch->on[w] = bounce16(scene, params, batch->samplers + w, bounce, lights, &met->hit, met->found, on, p, waiting + w % FLOWN);
+    }
+#if PENUMBRA_LARGE_TREES
+    gather_waiting16(scene, params, batch, waiting, wings);
+#endif
     const uint alive = alive_in16(batch);
     if (alive + LANES <= batch->vectors * LANES) pack_paths16(batch, alive);
   }

@@ -260,7 +260,11 @@ static inline Mask16 direct_rays16(const SceneData *scene, const __global Params
 
 // Whether rays go through the trees together: alike ones always, any where the trees are small.
 static inline bool together16(const __global Params *params, const bool alike) {
+#if PENUMBRA_LARGE_TREES
   return alike || (params->options & OPTION_TOGETHER) != 0u;
+#else
+  return true;
+#endif
 }
 
 // Rays of one pixel's hits to lights are alike, but for those to the environment, which go anywhere.
@@ -268,29 +272,54 @@ static inline bool alike_to_lights16(const LightRay16 *rays, const uint bounce, 
   return bounce == 0u && !any16(on & (rays->ray.tmax == INF_F) & (rays->effect != EFFECT_DELTA_LIGHT));
 }
 
-// Asks the lights, number n of the samples, and follows the rays to them. direct: the sum over the samples.
-static inline void shine16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
-                           const uint n, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p, Vec16 *direct) {
-  const Mask16 smooth = on & bsdf_has_smooth16(bsdf);
-  if (!any16(smooth)) return;
-  Mask16 use_mis = (params->options & OPTION_NO_MIS) ? (Mask16)(0) : (Mask16)(-1);
-  if (bounce >= params->max_bounces) use_mis &= ~lights_alone16(params, bsdf);
+// Light that vectors of paths wait for: their hits' last rays to lights, in flight when those of all vectors are known.
+typedef struct {
   LightRay16 rays;
-  rays.ray = p->ray;
-  rays.value = *direct;
-  rays.effect = 0u;
-  const Mask16 lit = direct_rays16(scene, params, samples, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, &rays);
-  if (!any16(lit)) return;
-  p->result.rays += lit ? (uint16)(1u) : (uint16)(0u);
-  const bool together = together16(params, alike_to_lights16(&rays, bounce, lit));
-  const Mask16 arrive = lit & ~occluded16(scene, together, &rays.ray, lit);
-  p->result.effects |= arrive ? rays.effect : (uint16)(0u);
-  add_where16(arrive, rays.value, direct);
+  Mask16 lit;          // the lanes that wait
+  Mask16 smooth;       // and those that gather light here
+  Vec16 direct, beta;  // what they have of it so far, and the path's weight
+} Waiting16;
+
+// The rays of the lanes of `arrive` met nothing. direct: the sum over the samples.
+static inline void arrive16(const LightRay16 *rays, const Mask16 arrive, Paths16 *p, Vec16 *direct) {
+  p->result.effects |= arrive ? rays->effect : (uint16)(0u);
+  add_where16(arrive, rays->value, direct);
 }
 
-static inline void gather_light16(const __global Params *params, const Bsdf16 *bsdf, const Vec16 direct, const Mask16 on, Paths16 *p) {
+// Asks the lights, number n of the samples, and follows the rays to them, but for the last where they are better off in flight.
+static inline void shine16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                           const uint n, const bool last, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 smooth,
+                           Paths16 *p, Waiting16 *waiting) {
+  Mask16 use_mis = (params->options & OPTION_NO_MIS) ? (Mask16)(0) : (Mask16)(-1);
+  if (bounce >= params->max_bounces) use_mis &= ~lights_alone16(params, bsdf);
+  LightRay16 *rays = &waiting->rays;
+  rays->ray = p->ray;
+  rays->value = waiting->direct;
+  rays->effect = 0u;
+  const Mask16 lit = direct_rays16(scene, params, samples, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, rays);
+  if (!any16(lit)) return;
+  p->result.rays += lit ? (uint16)(1u) : (uint16)(0u);
+  const bool together = together16(params, alike_to_lights16(rays, bounce, lit));
+  if (last && !together) waiting->lit = lit;
+  else arrive16(rays, lit & ~occluded16(scene, together, &rays->ray, lit), p, &waiting->direct);
+}
+
+static inline void gather_light16(const __global Params *params, const Waiting16 *w, Paths16 *p) {
   const float16 share = 1.0f / (float)params->shadow_rays;
-  add_where16(on & bsdf_has_smooth16(bsdf), mul16(p->beta, scale16(direct, share)), &p->result.radiance);
+  add_where16(w->smooth, mul16(w->beta, scale16(w->direct, share)), &p->result.radiance);
+}
+
+// Light from all samples of the lanes' hits, unless some of it waits.
+static inline void ask_lights16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                                const uint lights, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p,
+                                Waiting16 *waiting) {
+  waiting->smooth = on & bsdf_has_smooth16(bsdf);
+  waiting->direct = all16((float3)(0.0f));
+  waiting->beta = p->beta;
+  if (!any16(waiting->smooth)) return;
+  for (uint n = 0u; n < lights; n++)
+    shine16(scene, params, samples, bounce, n, n + 1u == lights, surface, bsdf, waiting->smooth, p, waiting);
+  if (!any16(waiting->lit)) gather_light16(params, waiting, p);
 }
 
 static inline Mask16 roulette16(const __global Params *params, const Sampler16 *samples, const uint bounce, const Mask16 on,
@@ -348,20 +377,18 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
 #endif
 }
 
-// A bounce of the lanes of `on`: those that go on.
+// What the lanes of `on` do at their hits, where they met anything: those that go on.
 static inline Mask16 bounce16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
-                              const uint lights, const Mask16 on, Paths16 *p) {
-  Hit16 hit;
+                              const uint lights, const Hit16 *hit, const Mask16 found, const Mask16 on, Paths16 *p,
+                              Waiting16 *waiting) {
   Surface16 surface;
   Bsdf16 bsdf;
+  waiting->lit = 0;
   p->result.rays += on ? (uint16)(1u) : (uint16)(0u);
-  const Mask16 found = on & intersect16(scene, together16(params, bounce == 0u), &p->ray, on, &hit);
   leave16(scene, params, on & ~found, p);
   if (!any16(found)) return found;
-  const Mask16 shaded = look16(scene, params, bounce, &hit, found, p, &surface, &bsdf);
+  const Mask16 shaded = look16(scene, params, bounce, hit, found, p, &surface, &bsdf);
   if (!any16(shaded)) return shaded;
-  Vec16 direct = all16((float3)(0.0f));
-  for (uint n = 0u; n < lights; n++) shine16(scene, params, samples, bounce, n, &surface, &bsdf, shaded, p, &direct);
-  gather_light16(params, &bsdf, direct, shaded, p);
+  ask_lights16(scene, params, samples, bounce, lights, &surface, &bsdf, shaded, p, waiting);
   return scatter16(scene, params, samples, bounce, &surface, &bsdf, shaded, p);
 }
