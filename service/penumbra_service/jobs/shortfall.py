@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from penumbra_scene.job import Shortfall
 
-from penumbra_service.film.predict import FIT_FROM, Point, Prediction, predict
+from penumbra_service.film.predict import FIT_FROM, Point, Prediction, fit_fall, predict
 
 
 def shortfall(
@@ -38,8 +38,7 @@ def shortfall(
     if not missed:
         return None
     _, cap, name = min(missed)
-    last = points[-1]
-    error = _error_at(last, told, samples, seconds)
+    error = _error_at(points, told, samples, seconds)
     return Shortfall(
         target=target,
         needed_samples=told.samples,
@@ -54,14 +53,17 @@ def shortfall(
     )
 
 
-def _error_at(last: Point, told: Prediction, samples: float | None, seconds: float | None) -> float:
-    """Where the first cap ends the render: V ~ n^-theta."""
+def _error_at(
+    points: Sequence[Point], told: Prediction, samples: float | None, seconds: float | None
+) -> float:
+    """Where the first cap ends the render."""
+    last = points[-1]
     rate = (told.samples - last.samples) / max(told.seconds - last.seconds, 1e-9)
     ends = [samples] if samples is not None else []
     if seconds is not None:
         ends.append(last.samples + max(seconds - last.seconds, 0.0) * rate)
     growth = max(min(ends) / last.samples, 1.0)
-    return math.sqrt(last.relmse * growth**-told.theta)
+    return math.sqrt(last.relmse * fit_fall(points).at(growth))
 
 
 def _percent(error: float) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from penumbra_scene.settings import Sampler, Stop
 from penumbra_service.film.error import ImageError
-from penumbra_service.film.predict import THETA_RANGE, Point, fit_theta, predict, upper_at
+from penumbra_service.film.predict import THETA_RANGE, Point, fit_fall, fit_theta, predict, upper_at
 from penumbra_service.film.replicates import UnknownErrorTargetError, choose_layout
 from penumbra_service.film.stop import StopRule, last_end_within, next_check
 
@@ -120,11 +120,19 @@ def test_theta_is_clamped_to_what_paths_can_do():
     assert fit_theta([]).points == 0
 
 
-@pytest.mark.parametrize("theta", [1.0, 1.3, 1.5])
-def test_samples_and_seconds_to_a_target(theta):  # type: ignore[no-untyped-def]
-    told = predict(_points(theta, [16, 20, 24, 28, 32, 40, 48, 56, 64]), 0.02)
+def _mixed(share, ends):  # type: ignore[no-untyped-def]
+    """Of an error of which a share, at one sample, falls as n^-1.5, and the rest as 1 / n."""
+    values = [(1 - share) / n + share * n**-1.5 for n in ends]
+    return [Point(n, n / 100, v, 1.5 * v, 0.0) for n, v in zip(ends, values, strict=True)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.95, 1.0])
+def test_samples_and_seconds_to_a_target(share):  # type: ignore[no-untyped-def]
+    needed = 3000
+    target = math.sqrt(_mixed(share, [needed])[0].upper)
+    told = predict(_mixed(share, [16, 20, 24, 28, 32, 40, 48, 56, 64]), target)
     assert told is not None
-    assert told.samples == pytest.approx(0.02 ** (-2 / theta), rel=1e-6)
+    assert told.samples == pytest.approx(needed, rel=1e-6)
     assert told.seconds == pytest.approx(told.samples / 100, rel=1e-6)
     assert told.samples_low <= told.samples <= told.samples_high
     assert told.seconds_low <= told.seconds <= told.seconds_high
@@ -145,10 +153,12 @@ def test_four_of_five_predictions_are_within_a_factor_of_one_and_a_half():
     assert covered >= 0.8 * n
 
 
-@pytest.mark.parametrize("theta", [1.0, 1.25, 1.5])
-def test_what_the_rule_will_compare_falls_as_the_error_does(theta):  # type: ignore[no-untyped-def]
-    points = [Point(n, n / 10, n**-theta, 1.5 * n**-theta) for n in (16, 20, 24, 28, 32)]
-    assert upper_at(points, 64) == pytest.approx(1.5 * 64**-theta)
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.95, 1.0])
+def test_what_the_rule_will_compare_falls_as_the_error_does(share):  # type: ignore[no-untyped-def]
+    points = _mixed(share, [16, 20, 24, 28, 32])
+    assert upper_at(points, 64) == pytest.approx(_mixed(share, [64])[0].upper)
+    low, high = fit_fall(points).shares(2.0)
+    assert 0 <= low < high <= 1
     assert upper_at([], 64) is None
     assert upper_at([Point(16, 1.0, math.nan, math.nan)], 64) is None
 
