@@ -96,11 +96,18 @@ static inline void gather_waiting16(const SceneData *scene, const __global Param
 #define FLOWN 1u
 #endif
 
-// All paths of a batch, from their camera rays to their ends.
+static inline void pack_where_less16(Batch16 *batch) {
+  const uint alive = alive_in16(batch);
+  if (alive + LANES <= batch->vectors * LANES) pack_paths16(batch, alive);
+}
+
+// All paths of a batch, from their camera rays to their ends: some end by leaving the scene, others by what they meet.
 static inline void trace_batch16(const SceneData *scene, const __global Params *params, Batch16 *batch) {
   const uint lights = direct_count(scene, params);
-  Wing16 wings[FLOWN];
   Waiting16 waiting[FLOWN];
+#if PENUMBRA_LARGE_TREES
+  Wing16 wings[FLOWN];
+#endif
   for (uint bounce = 0u; batch->vectors; bounce++) {
     const bool together = together16(params, bounce == 0u);
 #if PENUMBRA_LARGE_TREES
@@ -108,15 +115,22 @@ static inline void trace_batch16(const SceneData *scene, const __global Params *
 #endif
     for (uint w = 0u; w < batch->vectors; w++) {
       Paths16 *p = batch->paths + w;
-      Wing16 *met = wings + w % FLOWN;
       const Mask16 on = batch->on[w];
-      if (together) met->found = on & intersect16(scene, true, &p->ray, on, &met->hit);
-      batch->on[w] = bounce16(scene, params, batch->samplers + w, bounce, lights, &met->hit, met->found, on, p, waiting + w % FLOWN);
+      if (together) batch->on[w] = on & intersect16(scene, true, &p->ray, on, &p->hit);
+#if PENUMBRA_LARGE_TREES
+      if (!together) {
+        p->hit = wings[w].hit;
+        batch->on[w] = on & wings[w].found;
+      }
+#endif
+      meet16(scene, params, batch->on[w], on, p);
     }
+    pack_where_less16(batch);
+    for (uint w = 0u; w < batch->vectors; w++)
+      batch->on[w] = shade16(scene, params, batch->samplers + w, bounce, lights, batch->on[w], batch->paths + w, waiting + w % FLOWN);
 #if PENUMBRA_LARGE_TREES
     gather_waiting16(scene, params, batch, waiting, wings);
 #endif
-    const uint alive = alive_in16(batch);
-    if (alive + LANES <= batch->vectors * LANES) pack_paths16(batch, alive);
+    pack_where_less16(batch);
   }
 }

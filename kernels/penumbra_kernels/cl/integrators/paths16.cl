@@ -30,6 +30,7 @@ typedef struct {
   float16 lobe_pdf;
   Mask16 delta;
   uint16 number;  // of the path's sample in its batch
+  Hit16 hit;      // of the ray
 } Paths16;
 
 // All but their numbers.
@@ -377,17 +378,20 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
 #endif
 }
 
-// What the lanes of `on` do at their hits, where they met anything: those that go on.
-static inline Mask16 bounce16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
-                              const uint lights, const Hit16 *hit, const Mask16 found, const Mask16 on, Paths16 *p,
-                              Waiting16 *waiting) {
+// Lanes of `on` have followed their rays to p->hit, where they met anything.
+static inline void meet16(const SceneData *scene, const __global Params *params, const Mask16 found, const Mask16 on, Paths16 *p) {
+  p->result.rays += on ? (uint16)(1u) : (uint16)(0u);
+  leave16(scene, params, on & ~found, p);
+}
+
+// What the lanes of `on` do at their hits: those that go on.
+static inline Mask16 shade16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                             const uint lights, const Mask16 on, Paths16 *p, Waiting16 *waiting) {
   Surface16 surface;
   Bsdf16 bsdf;
   waiting->lit = 0;
-  p->result.rays += on ? (uint16)(1u) : (uint16)(0u);
-  leave16(scene, params, on & ~found, p);
-  if (!any16(found)) return found;
-  const Mask16 shaded = look16(scene, params, bounce, hit, found, p, &surface, &bsdf);
+  if (!any16(on)) return on;
+  const Mask16 shaded = look16(scene, params, bounce, &p->hit, on, p, &surface, &bsdf);
   if (!any16(shaded)) return shaded;
   ask_lights16(scene, params, samples, bounce, lights, &surface, &bsdf, shaded, p, waiting);
   return scatter16(scene, params, samples, bounce, &surface, &bsdf, shaded, p);
