@@ -125,10 +125,13 @@ def test_the_price_of_splitting_is_that_of_shorter_sequences() -> None:
 
 
 def test_the_error_after_so_many_samples_falls_as_it_fell() -> None:
-    points = [Point(n, float(n), 2.0 * n**-1.2, 2.0 * n**-1.2, 0.1) for n in (16, 32, 64, 128)]
+    def relmse(n: int) -> float:
+        return 0.5 / n + 2.0 * n**-1.5
+
+    points = [Point(n, float(n), relmse(n), relmse(n), 0.1) for n in (16, 32, 64, 128)]
     told = error_at(points, 1024)
     assert told is not None
     error, low, high = told
-    assert error == pytest.approx(math.sqrt(2.0 * 1024**-1.2), rel=1e-6)
+    assert error == pytest.approx(math.sqrt(relmse(1024)), rel=1e-6)
     assert low < error < high
     assert error_at([], 64) is None
