@@ -5,6 +5,7 @@
     help                `penumbra --help`
     render              `penumbra render` of a small scene, one sample a pixel, programs cached: start to end, files written
     render_cold         the same with empty caches
+    render_cold_long    the same with 64 samples a pixel, for which the program with vector lanes is built (decision 20)
     serve_answer        `penumbra serve`: start to the first answer of /v1/health
     serve_picture       start to the first thumbnail of a job that is sent as soon as the service listens
     post_thumbnail      a warm service: POST of a small scene to its first thumbnail
@@ -56,6 +57,8 @@ class Place:
         self.folder = folder
         self.small = folder / "small.json"
         self.small.write_text(json.dumps(SMALL))
+        self.long = folder / "long.json"
+        self.long.write_text(json.dumps({**SMALL, "stop": {"samples": 64}}))
         self.environment = {**os.environ, "PENUMBRA_CACHE": str(folder / "cache")}
         for name in ("PYTHONDONTWRITEBYTECODE", "POCL_CACHE_DIR"):
             self.environment.pop(name, None)
@@ -73,16 +76,16 @@ class Place:
             )
         return time.perf_counter() - started
 
-    def render(self) -> float:
-        return self.run("render", str(self.small), "--quiet", "--out", str(self.folder / "out"))
+    def render(self, scene: Path) -> float:
+        return self.run("render", str(scene), "--quiet", "--out", str(self.folder / "out"))
 
-    def render_cold(self) -> float:
+    def render_cold(self, scene: Path) -> float:
         """With a cache folder that is new each time; PoCL's own cache is not used (decision 16)."""
         with tempfile.TemporaryDirectory(dir=self.folder) as empty:
             before = self.environment["PENUMBRA_CACHE"]
             self.environment["PENUMBRA_CACHE"] = empty
             try:
-                return self.render()
+                return self.render(scene)
             finally:
                 self.environment["PENUMBRA_CACHE"] = before
 
@@ -152,12 +155,13 @@ def median(runs: int, measure: Callable[[int], float]) -> float:
 
 def measure(place: Place, runs: int) -> dict[str, float]:
     """All of it; programs and byte code are cached by runs that are not counted."""
-    place.render()
+    place.render(place.small)
     serve_picture(place, 10_000)
     return {
         "help": median(runs, lambda _: place.run("--help")),
-        "render": median(runs, lambda _: place.render()),
-        "render_cold": median(min(runs, 3), lambda _: place.render_cold()),
+        "render": median(runs, lambda _: place.render(place.small)),
+        "render_cold": median(min(runs, 3), lambda _: place.render_cold(place.small)),
+        "render_cold_long": median(min(runs, 3), lambda _: place.render_cold(place.long)),
         "serve_answer": median(runs, lambda _: serve_answer(place)),
         "serve_picture": median(runs, lambda number: serve_picture(place, number)),
         "post_thumbnail": round(statistics.median(post_thumbnail(place, runs)), 3),

@@ -24,6 +24,7 @@ Row = Iterable[object]
 STARTS = (
     ("render", "`penumbra render` with cached programs, from its start to its end, files written", 0.6),
     ("render_cold", "the same with empty caches", 2.5),
+    ("render_cold_long", "the same with 64 samples a pixel, for which another program is built", 2.5),
     ("serve_answer", "`penumbra serve`, from its start to its first answer", 1.2),
     ("serve_picture", "from its start to the first thumbnail of a job that is sent at once", 1.2),
     ("post_thumbnail", "a warm service, from the POST to the first thumbnail", 0.15),

@@ -20,6 +20,11 @@ PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-2.4, 0.00084), "gpu": (
 """By kind of device: seconds of building a program of n lines are a + b n, until that device has built some. Lines through the
 smallest and the largest program of the examples: 4,613 and 6,640 lines (with those of the lanes) took 1.46 and 3.15 s of a
 Zen 5 core; 2,510 and 3,408 without lanes 5 and 8 s by an H200's driver (docs/gpus.md)."""
+PLAIN_SHARE: Final = 0.6
+"""Of the seconds of building a scene's own program: those of the same for one path at a time, on a CPU. .53 to .57 of a Zen 5
+core's for the scene whose start bench/latency.py measures."""
+PLAIN_RATE: Final = 250_000.0
+"""Paths a second that such a program follows at least, about: an eighth of what one Zen 5 core does in a box."""
 LEAST_BUILD: Final = 0.3
 """Seconds that any program takes."""
 
@@ -45,6 +50,12 @@ def build_seconds(lines: int, kind: str, past: Sequence[tuple[int, float]]) -> f
 def _prior(lines: int, kind: str) -> float:
     a, b = PRIOR.get(kind, PRIOR["cpu"])
     return max(a + b * lines, LEAST_BUILD)
+
+
+def is_short(paths: float | None, plain: float, own: float) -> bool:
+    """Whether all of a job's paths are followed one at a time before the program that takes sixteen is there. paths: None where
+    nobody knows how many; plain, own: seconds until either program is ready."""
+    return paths is not None and plain + paths / PLAIN_RATE < own
 
 
 def seconds_to_come(planned: float | None, done: float, spent: float) -> float:

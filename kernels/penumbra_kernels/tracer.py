@@ -137,10 +137,12 @@ class Tracer:
         plan: SamplePlan,
         *,
         program: str = "specialised",
+        together: bool = True,
         measuring: bool = False,
         keep_arrays: bool = True,
     ) -> None:
-        """keep_arrays: leave the scene's arrays where they are; without, each is let go once the device has its copy.
+        """together: CPUs take sixteen paths at a time; without, the scene's own program takes one, to the same bits.
+        keep_arrays: leave the scene's arrays where they are; without, each is let go once the device has its copy.
         measuring: `other_groups` may name groups of dimensions that draw from a second stream (sensitivity.py), and `drawn`
         counts the numbers that are drawn."""
         self.device = device
@@ -150,7 +152,8 @@ class Tracer:
         """GROUP_* bits."""
         self.drawn = np.zeros(CONSTANTS["DRAWN_COUNT"], np.int64)
         """Numbers drawn so far, by dimension (dimensions.DRAWN); zeros where it is not measuring."""
-        self._take_program(program, MEASURING if measuring else {})
+        apart = {} if together else {"PENUMBRA_TOGETHER": 0}
+        self._take_program(program, {**apart, **(MEASURING if measuring else {})})
         started = time.perf_counter()
         arrays = tree_arrays(compiled.arrays, device.flags)
         self._buffers: dict[str, cl.Buffer] = {}

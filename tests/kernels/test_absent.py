@@ -72,6 +72,7 @@ def flags_of(*effects: str) -> dict[str, int]:
         "PENUMBRA_LIGHT_AREA_SAMPLING": 0,
         "PENUMBRA_ADAPTIVE": 0,
         "PENUMBRA_LARGE_TREES": 0,
+        "PENUMBRA_TOGETHER": 1,
         **DEVICE,
     }
 

@@ -6,7 +6,15 @@ import itertools
 import math
 
 import pytest
-from penumbra_kernels.choice import LEAST_BUILD, Choice, build_seconds, choose, seconds_to_come
+from penumbra_kernels.choice import (
+    LEAST_BUILD,
+    PLAIN_RATE,
+    Choice,
+    build_seconds,
+    choose,
+    is_short,
+    seconds_to_come,
+)
 
 OWN, GENERIC = Choice("specialised", build_own=False), Choice("generic", build_own=False)
 BOTH = Choice("generic", build_own=True)
@@ -43,6 +51,20 @@ def test_more_work_never_speaks_against_building() -> None:
     for own, gain, share in itertools.product((0.1, 1.0, 8.0), (0.9, 1.02, 1.3), (0.0, 0.1, 1.0)):
         built = [choose(own, 0.0, seconds, gain, share).build_own for seconds in work]
         assert built == sorted(built)
+
+
+@pytest.mark.parametrize(
+    ("paths", "plain", "own", "expected"),
+    [
+        (0.5 * PLAIN_RATE, 1.0, 2.0, True),
+        (1.5 * PLAIN_RATE, 1.0, 2.0, False),  # the other program is there before the job is done
+        (1.5 * PLAIN_RATE, 0.0, 2.0, True),  # this one is in the cache
+        (0.5 * PLAIN_RATE, 1.0, 0.0, False),
+        (None, 0.0, 100.0, False),  # nobody knows how many
+    ],
+)
+def test_few_paths_go_one_at_a_time(paths: float | None, plain: float, own: float, expected: bool) -> None:
+    assert is_short(paths, plain, own) is expected
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.device_process import DeviceRefusedError
-from penumbra_service.engine.programs import Order, Programs
+from penumbra_service.engine.programs import Beginning, Programs
 from penumbra_service.engine.protocol import RenderSpec
 
 _WARM_UP: Final = Tile(0, 0, 1, 1)
@@ -39,11 +39,7 @@ class Prepared:
     scene: Scene
     compiled: CompiledScene
     build_seconds: float
-    first: Program
-    order: Order | None
-    """Of the program that renders first; null: it was in the cache."""
-    own: Order | None
-    """Of the scene's own program, where the generic one renders first and that one is worth building."""
+    begin: Beginning
 
 
 class LoadedOnDevice:
@@ -59,20 +55,28 @@ class LoadedOnDevice:
         """The scene's, whichever program renders."""
         plan = SamplePlan(spec.replicates, spec.strata)
         started = time.perf_counter()
-        tracer = Tracer(device, prepared.compiled, plan, program=prepared.first, keep_arrays=False)
-        self._waits = spec.program == "auto" and prepared.first == "generic"
+        begin = prepared.begin
+        tracer = Tracer(
+            device,
+            prepared.compiled,
+            plan,
+            program=begin.first,
+            together=not begin.plain,
+            keep_arrays=False,
+        )
+        self._waits = spec.program == "auto" and begin.first == "generic"
         """Whether the scene's own program may take over."""
-        self._own = prepared.own
+        self._own = begin.own
         self.background_seconds = 0.0
         """Of building the program that renders, while the generic one did."""
         self._samples, self._seconds, self._looked = 0, 0.0, 0.0
         """Rendered by the generic program while its own may still come; at the last look."""
-        self._take(tracer, prepared.first)
+        self._take(tracer, begin.first)
         self.compile_seconds = time.perf_counter() - started - tracer.upload_seconds
         self.compile_warm = not tracer.compiled_cold
-        if prepared.order is not None and prepared.order.built is not None:
-            self.compile_seconds += prepared.order.built.seconds
-            self.compile_warm = self.compile_warm and not prepared.order.built.built
+        if begin.order is not None and begin.order.built is not None:
+            self.compile_seconds += begin.order.built.seconds
+            self.compile_warm = self.compile_warm and not begin.order.built.built
         self.build_seconds = prepared.build_seconds + tracer.upload_seconds
 
     def trace(self, tile: Tile, first: int, count: int, allotment: Allotment | None) -> SumNode:

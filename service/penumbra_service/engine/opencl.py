@@ -66,7 +66,7 @@ class OpenCLBackend:
         if not self.compiled(spec):
             return None
         prepared = self._prepared.pop(spec.key)
-        built = None if prepared.order is None else prepared.order.built
+        built = None if prepared.begin.order is None else prepared.begin.order.built
         if built is not None and built.problem is not None:
             raise BuildRefusedError(built.problem)
         try:
@@ -80,19 +80,19 @@ class OpenCLBackend:
         assert self._programs is not None
         self._programs.poll()
         prepared = self._prepared.get(spec.key)
-        return prepared is None or prepared.order is None or prepared.order.built is not None
+        return prepared is None or prepared.begin.order is None or prepared.begin.order.built is not None
 
     def _prepare(self, programs: Programs, spec: RenderSpec) -> Prepared:
         """The scene's arrays. Its program is ordered first, so that both are made at the same time."""
         started = time.perf_counter()
         scene = Scene.model_validate_json(Path(spec.scene_path).read_bytes())
         features = analyse(scene, spec.time)
-        first, order, own = programs.begin(scene, features, spec.program)
+        begin = programs.begin(scene, features, spec.program)
         try:
             compiled = compile_scene(scene, assets_of(spec), spec.time, self._trees)
         except (AssetError, ValueError) as error:  # too many of something, a matrix without an inverse
             raise SceneError(str(error)) from error
-        return Prepared(scene, compiled, time.perf_counter() - started, first, order, own)
+        return Prepared(scene, compiled, time.perf_counter() - started, begin)
 
 
 def assets_of(spec: RenderSpec) -> Assets:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
-from penumbra_kernels.choice import Choice, Program, choose, seconds_to_come
+from penumbra_kernels.choice import PLAIN_SHARE, Choice, Program, choose, is_short, seconds_to_come
 from penumbra_kernels.compiler import Built, Compiler
 from penumbra_kernels.device import Device
 from penumbra_kernels.features import Features
@@ -30,8 +30,28 @@ class Order:
     lines: int
     seconds: float
     """Predicted."""
+    plain: bool = False
+    """For one path at a time: what it takes says nothing of others."""
     built: Built | None = None
     """Null until it has answered."""
+
+    @property
+    def tells(self) -> bool:
+        """Whether it was built, so that what it took says what others will take."""
+        return self.built is not None and self.built.built and self.built.problem is None and not self.plain
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """How a scene begins."""
+
+    first: Program
+    plain: bool
+    """It is the scene's own for one path at a time."""
+    order: Order | None
+    """Of the program that renders first; null: it is in the cache."""
+    own: Order | None
+    """Of the scene's own program, where the generic one renders first and that one is worth building."""
 
 
 class Programs:
@@ -55,7 +75,8 @@ class Programs:
     def order(self, flags: Flags) -> Order:
         """Have a program built."""
         lines = _lines(self.text(flags))
-        order = Order(lines, self._history.read().build_seconds(lines, self._device.info.kind))
+        plain = not flags["PENUMBRA_TOGETHER"]
+        order = Order(lines, self._history.read().build_seconds(lines, self._device.info.kind), plain)
         self._compiler.order(flags)
         self._orders.append(order)
         return order
@@ -65,20 +86,33 @@ class Programs:
         while self._orders and (built := self._compiler.answer(0.0)) is not None:
             order = self._orders.popleft()
             order.built = built
-            if built.built and built.problem is None:
+            if order.tells:
                 self._history.add_build(order.lines, built.seconds)
 
-    def begin(
-        self, scene: Scene, features: Features, wanted: str
-    ) -> tuple[Program, Order | None, Order | None]:
-        """Which program a scene begins with; the orders of that one and of the scene's own, as far as they are built now.
-        wanted: 'auto', or the name of the one that it has to be."""
+    def begin(self, scene: Scene, features: Features, wanted: str) -> Beginning:
+        """Which program a scene begins with, and what is ordered now. wanted: 'auto', or one's name."""
         choice = self.choose(scene, features) if wanted == "auto" else None
         first: Program = "generic" if "generic" in (wanted, choice and choice.first) else "specialised"
-        flags = features.generic_flags() if first == "generic" else features.flags()
+        plain = wanted == "auto" and first == "specialised" and self._begins_plain(scene, features)
+        own_flags = features.plain_flags() if plain else features.flags()
+        flags = features.generic_flags() if first == "generic" else own_flags
         order = None if self.cached(self.text(flags)) else self.order(flags)
         own = self.order(features.flags()) if choice is not None and choice.build_own else None
-        return first, order, own
+        return Beginning(first, plain, order, own)
+
+    def _begins_plain(self, scene: Scene, features: Features) -> bool:
+        """Whether a job on a CPU is done by its own program for one path at a time before that for sixteen is built."""
+        if (
+            self._device.info.kind != "cpu"
+            or features.sampler == "random"
+            or self.cached(self.text(features.flags()))
+        ):
+            return False
+        own, plain = self._wait(self.text(features.flags())), 0.0
+        if not self.cached(self.text(features.plain_flags())):
+            waits = self._queue()
+            plain = waits + PLAIN_SHARE * (own - waits)
+        return is_short(planned_paths(scene), plain, own)
 
     def choose(self, scene: Scene, features: Features, done: float = 0.0) -> Choice:
         """What a scene begins with, or, `done` seconds after it began with the generic program, goes on with."""
@@ -107,9 +141,12 @@ class Programs:
         """Predicted until a program is ready; orders before it are built first."""
         if self.cached(text):
             return 0.0
-        before = sum(max(order.seconds, LEAST_PREDICTED) for order in self._orders)
         lines = _lines(text)
-        return before + self._history.read().build_seconds(lines, self._device.info.kind)
+        return self._queue() + self._history.read().build_seconds(lines, self._device.info.kind)
+
+    def _queue(self) -> float:
+        """Predicted for all orders that are not answered."""
+        return sum(max(order.seconds, LEAST_PREDICTED) for order in self._orders)
 
 
 @lru_cache(32)
@@ -124,8 +161,14 @@ def _lines(text: str) -> int:
 
 def planned_seconds(scene: Scene, rate: float | None) -> float | None:
     """Seconds of rendering that a scene's stop rule allows at so many samples a second; None where it does not tell."""
-    stop, window = scene.stop, scene.film.window
+    stop, paths = scene.stop, planned_paths(scene)
     limits = [stop.seconds] if stop.seconds is not None else []
-    if stop.samples is not None and rate is not None:
-        limits.append(stop.samples * window.width * window.height / rate)
+    if paths is not None and rate is not None:
+        limits.append(paths / rate)
     return min(limits, default=None)
+
+
+def planned_paths(scene: Scene) -> float | None:
+    """Samples of all pixels that a scene's stop rule allows; None where it does not tell."""
+    window = scene.film.window
+    return None if scene.stop.samples is None else scene.stop.samples * window.width * window.height

@@ -20,7 +20,7 @@ from penumbra_scene.scene import Scene
 from penumbra_service.engine import loaded, programs
 from penumbra_service.engine.loaded import LoadedOnDevice
 from penumbra_service.engine.opencl import OpenCLBackend
-from penumbra_service.engine.programs import Programs, planned_seconds
+from penumbra_service.engine.programs import Beginning, Programs, planned_seconds
 from penumbra_service.engine.protocol import RenderSpec
 from penumbra_service.engine.runner import JobRunner
 
@@ -129,6 +129,21 @@ def test_on_empty_caches_the_small_program_is_the_only_one_built(bench: Bench) -
     assert not more
 
 
+@needs_device
+def test_a_job_of_few_paths_takes_one_at_a_time_until_a_longer_one_comes(bench: Bench) -> None:
+    few = bench.spec(stop={"samples": 1})
+    scene = bench.load(few)
+    assert (scene.program, scene.compile_warm, bench.built()) == ("specialised", False, 1)
+    assert not History(devices()[0]).read().builds, "what it took says nothing of programs with lanes"
+    assert bits(scene.trace(TILE, 0, 2, None)) == traced_by("specialised", 0)
+    longer = bench.load(bench.spec())
+    assert (longer.program, bench.built()) == ("specialised", 2)
+    assert longer.program_hash != scene.program_hash
+    # Of two that are there the faster one.
+    again = bench.load(bench.spec(stop={"samples": 2}))
+    assert (again.program_hash, bench.built()) == (longer.program_hash, 2)
+
+
 class FakeCompiler:
     """Answers when it is told to."""
 
@@ -159,10 +174,10 @@ LONG = Scene.model_validate({**SCENE, "stop": {"seconds": 100}})
 @needs_device
 def test_a_job_that_ends_before_its_own_program_is_there_has_none_built(rooms: Programs) -> None:
     features = analyse(SHORT)
-    assert rooms.begin(SHORT, features, "auto") == ("generic", None, None)
-    first, order, own = rooms.begin(LONG, features, "auto")
-    assert (first, order) == ("generic", None)
-    assert own is not None
+    assert rooms.begin(SHORT, features, "auto") == Beginning("generic", plain=False, order=None, own=None)
+    begin = rooms.begin(LONG, features, "auto")
+    assert (begin.first, begin.order) == ("generic", None)
+    assert begin.own is not None
     assert rooms._compiler.orders == [features.flags()]  # type: ignore[attr-defined]
 
 
@@ -170,7 +185,7 @@ def test_a_job_that_ends_before_its_own_program_is_there_has_none_built(rooms: P
 def test_many_short_jobs_have_their_program_built_in_the_end(rooms: Programs) -> None:
     features = analyse(SHORT)
     jobs = 0
-    while rooms.begin(SHORT, features, "auto")[2] is None:
+    while rooms.begin(SHORT, features, "auto").own is None:
         rooms.spend(features, 0.1)
         jobs += 1
         assert jobs < 1000
@@ -180,10 +195,10 @@ def test_many_short_jobs_have_their_program_built_in_the_end(rooms: Programs) ->
 @needs_device
 @pytest.mark.parametrize("wanted", ["specialised", "generic"])
 def test_a_program_that_was_asked_for_is_taken(rooms: Programs, wanted: str) -> None:
-    first, order, own = rooms.begin(LONG, analyse(LONG), wanted)
-    assert first == wanted
-    assert (order is None) == (wanted == "generic")
-    assert own is None
+    begin = rooms.begin(LONG, analyse(LONG), wanted)
+    assert (begin.first, begin.plain) == (wanted, False)
+    assert (begin.order is None) == (wanted == "generic")
+    assert begin.own is None
 
 
 @needs_device
