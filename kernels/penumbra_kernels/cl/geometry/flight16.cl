@@ -71,7 +71,8 @@ static inline void slabs16(const WideRay16 *w, Slabs16 *s) {
   s->near_z = as_uint16(32 + (back_z & 8));
 }
 
-// Where each ray is: ray k is lane k % LANES of wing k / LANES. Children wait under keys: t at which the ray enters, its last three bits replaced by the child's number.
+// Where each ray is: ray k is lane k % LANES of wing k / LANES. Children wait under keys: t at which the ray enters, its last three bits
+// replaced by the child's number.
 typedef struct {
   WideRay16 wide[FLIGHT_WINGS];  // in the frame of the tree that the ray is in, of what triangles ask for
   Slabs16 slabs[FLIGHT_WINGS];
