@@ -152,7 +152,7 @@ LONG: dict[str, Any] = {
         {"type": "sphere", "material": "gray"},
         {"type": "plane", "point": [0, -1, 0], "material": "gray"},
     ],
-    "stop": {"samples": 2048},
+    "stop": {"samples": 12288},
 }
 """Takes long enough for a snapshot."""
 
