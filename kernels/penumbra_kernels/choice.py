@@ -21,8 +21,8 @@ PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-2.4, 0.00084), "gpu": (
 smallest and the largest program of the examples: 4,613 and 6,640 lines (with those of the lanes) took 1.46 and 3.15 s of a
 Zen 5 core; 2,510 and 3,408 without lanes 5 and 8 s by an H200's driver (docs/gpus.md)."""
 PLAIN_SHARE: Final = 0.6
-"""Of the seconds of building a scene's own program: those of the same for one path at a time, on a CPU. .53 to .57 of a Zen 5
-core's for the scene whose start bench/latency.py measures."""
+"""Of the seconds of building a scene's own program: those of the same for one path at a time, on a CPU. .45 to .53 on a Zen 5
+core, for three examples and the scene whose start bench/latency.py measures."""
 PLAIN_RATE: Final = 250_000.0
 """Paths a second that such a program follows at least, about: an eighth of what one Zen 5 core does in a box."""
 LEAST_BUILD: Final = 0.3

@@ -7,8 +7,7 @@
 // This file alone decides which effects a program has, by 0/1 macros; every argument stands in tracer.py's table in the same
 // order under the same conditions.
 #include "base/types.h"
-#define PENUMBRA_LANES \
-  (PENUMBRA_TOGETHER && !PENUMBRA_DEVICE_GPU && !PENUMBRA_COMPACT_TREE && PENUMBRA_SAMPLER != SAMPLER_RANDOM)
+#define PENUMBRA_LANES (PENUMBRA_TOGETHER && !PENUMBRA_DEVICE_GPU && !PENUMBRA_COMPACT_TREE && PENUMBRA_SAMPLER != SAMPLER_RANDOM)
 #include "integrators/item.cl"
 #if PENUMBRA_LANES
 #include "integrators/items16.cl"

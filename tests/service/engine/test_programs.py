@@ -144,6 +144,14 @@ def test_a_job_of_few_paths_takes_one_at_a_time_until_a_longer_one_comes(bench: 
     assert (again.program_hash, bench.built()) == (longer.program_hash, 2)
 
 
+@needs_device
+def test_lines_of_the_lanes_count_where_they_are_in(bench: Bench) -> None:
+    rooms, features = bench.backend._programs, analyse(Scene.model_validate(SCENE))
+    assert rooms is not None
+    with_lanes, without = (programs._lines(rooms.text(f)) for f in (features.flags(), features.plain_flags()))
+    assert with_lanes > 1.3 * without > 1000
+
+
 class FakeCompiler:
     """Answers when it is told to."""
 
