@@ -196,13 +196,13 @@ class PilotRunner:
         left = PILOT_SECONDS - self._elapsed()
         count, rounds = affordable(self._rate(), left, self._layout.replicates, ends, most)
         chosen = choose_blocks(self._blocks, count, self._seed)
-        if self._timing:
-            self._rates.clear()  # the probe ran into cold caches
         done = 0
         for end in ends[:rounds]:
             chosen = self._within_time(chosen, end - done) if done else chosen
             if not chosen:
                 break
+            if self._timing:
+                self._rates.clear()  # caches were cold, and of short leases the way there and back is a large part
             self._render(chosen, done, end)
             self._look(chosen, end)
             done = end
