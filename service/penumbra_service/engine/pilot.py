@@ -354,9 +354,8 @@ class PilotRunner:
         rounds = list(self._blockwise.values())
         decided = together([smoothed(rounds[0][tile]) for tile in rounds[-1]])
         saving = saving_of(decided, together(list(rounds[-1].values())), fit_theta(self._result.points).theta)
-        return (
-            saving if saving.pays else Saving()
-        )  # the job's pilot would see as much, and have all pixels take as many
+        # The job's pilot would see as much, and have all pixels take as many.
+        return saving if saving.pays else Saving()
 
     def _rate_deviation(self) -> float:
         """From the spread of seconds a sample over leases, which are of different blocks."""

@@ -74,9 +74,7 @@ class Programs:
 
     def order(self, flags: Flags) -> Order:
         """Have a program built."""
-        lines = _lines(self.text(flags))
-        plain = not flags["PENUMBRA_TOGETHER"]
-        order = Order(lines, self._history.read().build_seconds(lines, self._device.info.kind), plain)
+        order = Order(_lines(self.text(flags)), self._build_seconds(flags), not flags["PENUMBRA_TOGETHER"])
         self._compiler.order(flags)
         self._orders.append(order)
         return order
@@ -102,17 +100,11 @@ class Programs:
 
     def _begins_plain(self, scene: Scene, features: Features) -> bool:
         """Whether a job on a CPU is done by its own program for one path at a time before that for sixteen is built."""
-        if (
-            self._device.info.kind != "cpu"
-            or features.sampler == "random"
-            or self.cached(self.text(features.flags()))
-        ):
+        if self._device.info.kind != "cpu" or features.sampler == "random":
             return False
-        own, plain = self._wait(self.text(features.flags())), 0.0
-        if not self.cached(self.text(features.plain_flags())):
-            waits = self._queue()
-            plain = waits + PLAIN_SHARE * (own - waits)
-        return is_short(planned_paths(scene), plain, own)
+        return is_short(
+            planned_paths(scene), self._wait(features.plain_flags()), self._wait(features.flags())
+        )
 
     def choose(self, scene: Scene, features: Features, done: float = 0.0) -> Choice:
         """What a scene begins with, or, `done` seconds after it began with the generic program, goes on with."""
@@ -123,7 +115,8 @@ class Programs:
         past = self._history.read()
         to_come = seconds_to_come(planned_seconds(scene, past.rate), done, past.spent_for(source_hash(own)))
         share = 1.0 / self._device.info.compute_units if self._device.info.kind == "cpu" else 0.0
-        return choose(self._wait(own), self._wait(generic), to_come, past.gain, share)
+        waits = self._wait(features.flags()), self._wait(features.generic_flags())
+        return choose(*waits, to_come, past.gain, share)
 
     def spend(self, features: Features, seconds: float) -> None:
         """The generic program has rendered for a scene whose own program is not built."""
@@ -137,16 +130,18 @@ class Programs:
         """The generic program was so fast."""
         self._history.add_rate(samples_per_second)
 
-    def _wait(self, text: str) -> float:
+    def _wait(self, flags: Flags) -> float:
         """Predicted until a program is ready; orders before it are built first."""
-        if self.cached(text):
+        if self.cached(self.text(flags)):
             return 0.0
-        lines = _lines(text)
-        return self._queue() + self._history.read().build_seconds(lines, self._device.info.kind)
+        before = sum(max(order.seconds, LEAST_PREDICTED) for order in self._orders)
+        return before + self._build_seconds(flags)
 
-    def _queue(self) -> float:
-        """Predicted for all orders that are not answered."""
-        return sum(max(order.seconds, LEAST_PREDICTED) for order in self._orders)
+    def _build_seconds(self, flags: Flags) -> float:
+        """Predicted; of a program for one path at a time by that for sixteen."""
+        lines = _lines(self.text({**flags, "PENUMBRA_TOGETHER": 1}))
+        seconds = self._history.read().build_seconds(lines, self._device.info.kind)
+        return seconds if flags["PENUMBRA_TOGETHER"] else PLAIN_SHARE * seconds
 
 
 @lru_cache(32)

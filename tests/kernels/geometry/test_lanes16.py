@@ -77,7 +77,16 @@ static bool is_textured(const SceneData *scene, const Surface *s) {
 static void lane_answers(const SceneData *scene, const bool together, const Ray16 *rays, const Mask16 on,
                          __global Answer *answers) {
   Hit16 hit;
-  const Mask16 found = on & intersect16(scene, together, rays, on, &hit);
+  Mask16 found;
+  if (together) found = on & intersect16(scene, rays, on, &hit);
+  else {
+    Wing16 wing;
+    wing.rays = rays;
+    wing.on = on;
+    fly16(scene, &wing, 1u, false);
+    hit = wing.hit;
+    found = on & wing.found;
+  }
   const Mask16 hidden = occluded16(scene, together, rays, on);
   Surface16 surface;
   surfaces16(scene, rays, &hit, found, &surface);

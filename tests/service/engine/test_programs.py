@@ -212,9 +212,9 @@ def test_a_program_that_was_asked_for_is_taken(rooms: Programs, wanted: str) -> 
 @needs_device
 def test_what_other_jobs_have_ordered_is_waited_for(rooms: Programs) -> None:
     features = analyse(LONG)
-    alone = rooms._wait(rooms.text(features.flags()))
+    alone = rooms._wait(features.flags())
     rooms.order(features.flags())
-    assert rooms._wait(rooms.text(features.flags())) == pytest.approx(2 * alone)
+    assert rooms._wait(features.flags()) == pytest.approx(2 * alone)
 
 
 @pytest.mark.parametrize(

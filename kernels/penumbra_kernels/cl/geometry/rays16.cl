@@ -139,17 +139,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void traverse16(const SceneData *scene, c
 }
 
 // The first hit of each ray, of kind NONE where there is none; the lanes of `on` that have one.
-static inline Mask16 intersect16(const SceneData *scene, const bool together, const Ray16 *ray, const Mask16 on, Hit16 *hit) {
-#if PENUMBRA_LARGE_TREES
-  if (!together) {
-    Wing16 wing;
-    wing.rays = ray;
-    wing.on = on;
-    fly16(scene, &wing, 1u, false);
-    *hit = wing.hit;
-    return wing.found;
-  }
-#endif
+static inline Mask16 intersect16(const SceneData *scene, const Ray16 *ray, const Mask16 on, Hit16 *hit) {
   Best16 best;
   traverse16(scene, ray, on, false, &best);
   hit->t = best.t;
@@ -166,7 +156,7 @@ static inline Mask16 intersect16(const SceneData *scene, const bool together, co
   return best.found;
 }
 
-// The lanes of `on` whose ray meets anything before its end.
+// The lanes of `on` whose ray meets anything before its end: together, or in flight.
 static inline Mask16 occluded16(const SceneData *scene, const bool together, const Ray16 *ray, const Mask16 on) {
 #if PENUMBRA_LARGE_TREES
   if (!together) {

@@ -116,7 +116,7 @@ static inline void trace_batch16(const SceneData *scene, const __global Params *
     for (uint w = 0u; w < batch->vectors; w++) {
       Paths16 *p = batch->paths + w;
       const Mask16 on = batch->on[w];
-      if (together) batch->on[w] = on & intersect16(scene, true, &p->ray, on, &p->hit);
+      if (together) batch->on[w] = on & intersect16(scene, &p->ray, on, &p->hit);
 #if PENUMBRA_LARGE_TREES
       if (!together) {
         p->hit = wings[w].hit;
