@@ -198,6 +198,7 @@ class Comparer:
                 assets_folder=self._assets,
                 scene_folder=self._beside,
                 time=self._time,
+                program="specialised",  # seconds of few and of many samples are to be of one program
             )
             result = JobRunner(self._engine, task).run()
             if result.failure is not None:

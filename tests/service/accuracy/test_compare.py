@@ -16,7 +16,15 @@ from penumbra_kernels.device import Device
 from penumbra_scene.parse import scene_from_json
 from penumbra_service.accuracy import reference as reference_module
 from penumbra_service.accuracy.commands import COMPARE
-from penumbra_service.accuracy.compare import Comparison, Curve, Measured, Setting, as_set, samples_in
+from penumbra_service.accuracy.compare import (
+    Comparer,
+    Comparison,
+    Curve,
+    Measured,
+    Setting,
+    as_set,
+    samples_in,
+)
 from penumbra_service.accuracy.reference import Picture, Reference, relmse_ref
 from penumbra_service.commands import CommandError
 
@@ -142,6 +150,27 @@ def test_a_scene_is_compared_and_everything_is_written_down(
     for name in ("curves.png", "pictures.png", "pictures/sobol.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
     assert "sobol" in capsys.readouterr().out
+
+
+def test_few_samples_are_timed_with_the_program_of_many(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used: list[Any] = []
+    real = Comparer.render
+
+    def render(self: Any, scene: Any) -> Any:
+        picture, result = real(self, scene)
+        used.extend((p.program, p.hash) for p in result.record.programs)
+        return picture, result
+
+    monkeypatch.setenv("PENUMBRA_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(Comparer, "render", render)
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps(SCENE))
+    words = ["--samplers", "sobol", "--samples", "16,4096", "--adaptive", "off", "--reference", "16"]
+    assert run(str(scene), *words, "--device", device.info.id, "--out", str(tmp_path / "out")) == 0
+    assert len(used) >= 3
+    assert len(set(used)) == 1
 
 
 def test_without_matplotlib_the_command_says_what_to_install(
