@@ -7,8 +7,9 @@ across one, so that what lies beyond can be dropped.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -136,16 +137,18 @@ class FoldedSums(Mapping[str, NDArray[Any]]):
     added up when it is first asked for, since a look at a picture needs few of them."""
 
     def __init__(
-        self, parts: list[NDArray[Any]], shape: tuple[int, int, int], empty: Empty = np.empty
+        self, parts: Sequence[NDArray[Any]], shape: tuple[int, int, int], empty: Empty = np.empty
     ) -> None:
+        """parts: of SUM or SUM64, (replicates, height, width) each."""
+        self.shape = shape
         self._parts = parts
-        self._shape = shape
         self._empty = empty
         self._fields: dict[str, NDArray[Any]] = {}
+        self._common: dict[str, int | None] = {}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._fields:
-            self._fields[name] = self._colours() if name == "rgba" else self._counts(name)
+            self._fields[name] = self.planes().transpose(1, 2, 3, 0) if name == "rgba" else self._counts(name)
         return self._fields[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -154,18 +157,37 @@ class FoldedSums(Mapping[str, NDArray[Any]]):
     def __len__(self) -> int:
         return len(SUM64.names or ())
 
-    def _colours(self) -> NDArray[Any]:
-        """One plane after the other: numpy reads rows of four, one at a time, several times as slowly."""
-        planes = self._empty((4, *self._shape))
+    def of_replicates(self, chosen: slice) -> FoldedSums:
+        """Those of some replicates alone."""
+        parts = [part[chosen] for part in self._parts]
+        count = len(range(*chosen.indices(self.shape[0])))
+        return FoldedSums(parts, (count, *self.shape[1:]), self._empty)
+
+    def planes(self) -> NDArray[np.float64]:
+        """(channels, replicates, height, width), to be written over. One plane after the other: numpy reads rows of four, one
+        at a time, several times as slowly."""
+        planes = self._empty((4, *self.shape))
         for channel, plane in enumerate(planes):
             plane[...] = self._parts[0]["rgba"][..., channel] if self._parts else 0.0
             for part in self._parts[1:]:
                 plane += part["rgba"][..., channel]
-        return planes.transpose(1, 2, 3, 0)
+        return planes
+
+    def common(self, name: str) -> int | None:
+        """The count that every pixel has in every replicate, None where they differ in a node: known without adding any up."""
+        if name not in self._common:
+            of_nodes = [_common(part[name]) for part in self._parts]
+            self._common[name] = None if None in of_nodes else sum(filter(None, of_nodes))
+        return self._common[name]
+
+    def total(self, name: str) -> int:
+        """A count over all pixels and replicates."""
+        common = self.common(name)
+        return int(self[name].sum(dtype=np.uint64)) if common is None else common * math.prod(self.shape)
 
     def _counts(self, name: str) -> NDArray[Any]:
         if not self._parts:
-            return np.zeros(self._shape, SUM64[name])
+            return np.zeros(self.shape, SUM64[name])
         total = self._parts[0][name].astype(SUM64[name])
         for part in self._parts[1:]:
             if name == "rejected_in":
@@ -173,6 +195,11 @@ class FoldedSums(Mapping[str, NDArray[Any]]):
             else:
                 total += part[name]
         return total
+
+
+def _common(counts: NDArray[Any]) -> int | None:
+    most = counts.max()
+    return int(most) if most == 0 or counts.min() == most else None
 
 
 def _layers_of(parts: list[SumNode]) -> NDArray[Any] | None:

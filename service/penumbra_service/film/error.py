@@ -65,8 +65,8 @@ def summarize(pixels: PixelStatistics, empty: Empty = np.empty) -> TileSummary:
     return TileSummary(
         blocks=block_sums(pixels.tile, pixels.mean, pixels.variance, empty=empty),
         all_pixels=pixels.tile.width * pixels.tile.height,
-        taken=int(pixels.sums["taken"].sum(dtype=np.uint64)),
-        rejected=int(pixels.sums["rejected"].sum(dtype=np.uint64)),
+        taken=pixels.sums.total("taken"),
+        rejected=pixels.sums.total("rejected"),
         maximum=float(pixels.mean[..., :3].max(initial=0.0)),
     )
 
@@ -82,19 +82,21 @@ def block_sums(
     """Pool a tile's pixels (height, width, 3 or more) over blocks of this side. Blocks are aligned to the full frame, so
     that they do not depend on the tiles."""
     rgb, v = mean[..., :3].transpose(2, 0, 1), variance[..., :3].transpose(2, 0, 1)
-    known = np.isfinite(v[0])
-    planes = empty((3, *known.shape))
+    planes = empty((3, *v.shape[1:]))
     v.sum(axis=0, out=planes[0])
     np.einsum("chw,chw->hw", rgb, rgb, out=planes[1])
     np.square(planes[0], out=planes[2])
-    if known.all():
-        count = block_sizes(tile, block).astype(np.float64)
-    else:
-        rgb = np.where(known, rgb, 0.0)
+    of_variance, of_mean = _pool_planes(planes, tile, block), _pool_planes(rgb, tile, block)
+    count = block_sizes(tile, block).astype(np.float64)
+    if not math.isfinite(of_variance[0].sum()):
+        known = np.isfinite(v[0])
         planes[:, ~known] = 0.0
+        of_variance = _pool_planes(planes, tile, block)
+        of_mean = _pool_planes(np.where(known, rgb, 0.0), tile, block)
         count = pool(known, tile, block)
-    pooled, of_mean = _pool_planes(planes, tile, block), _pool_planes(rgb, tile, block)
-    return BlockSums(count, pooled[0] / 3, pooled[1] / 3, of_mean.transpose(1, 2, 0), pooled[2] / 9)
+    return BlockSums(
+        count, of_variance[0] / 3, of_variance[1] / 3, of_mean.transpose(1, 2, 0), of_variance[2] / 9
+    )
 
 
 def pool(values: NDArray[Any], tile: Tile, block: int) -> NDArray[np.float64]:

@@ -129,7 +129,7 @@ class Film:
 
     def pixels(self, tile: Tile, end: int) -> PixelStatistics:
         """Statistics of samples [0, end). Raises ValueError where some are missing."""
-        return self._pixels(tile, end, np.empty)
+        return self._pixels(tile, end)
 
     def halves(self, end: int) -> tuple[Iterator[PixelStatistics], Iterator[PixelStatistics]]:
         """Statistics of samples [0, end) of all tiles by the first half of the replicates alone, and by the second."""
@@ -138,14 +138,14 @@ class Film:
 
     def _of_replicates(self, end: int, chosen: slice) -> Iterator[PixelStatistics]:
         for tile in self._tiles:
-            sums = self.accumulator(tile).fold(end)
-            part = {name: sums[name][chosen] for name in sums}
+            part = self.accumulator(tile).fold(end).of_replicates(chosen)
             yield pixel_statistics(tile, part, deterministic=self.deterministic)
 
     def look(self, tile: Tile, end: int) -> tuple[PixelStatistics, TileSummary]:
-        """Statistics of samples [0, end), which the next look makes void, and the tile's share in the picture's error."""
+        """Statistics of samples [0, end), of alpha the mean alone, which the next look makes void, and the tile's share in the
+        picture's error."""
         self._scratch.reset()
-        pixels = self._pixels(tile, end, self._scratch.empty)
+        pixels = self._pixels(tile, end, self._scratch.empty, of_alpha=False)
         return pixels, summarize(pixels, self._scratch.empty)
 
     def count(self, end: int) -> PixelCounts:
@@ -185,10 +185,12 @@ class Film:
             self._write(self._resident[tile])
         return len(dirty)
 
-    def _pixels(self, tile: Tile, end: int, empty: Empty) -> PixelStatistics:
+    def _pixels(
+        self, tile: Tile, end: int, empty: Empty = np.empty, *, of_alpha: bool = True
+    ) -> PixelStatistics:
         sums = self._acquire(tile).fold(end, empty)
         self._evict(tile)
-        return pixel_statistics(tile, sums, deterministic=self.deterministic, empty=empty)
+        return pixel_statistics(tile, sums, deterministic=self.deterministic, empty=empty, of_alpha=of_alpha)
 
     def _acquire(self, tile: Tile) -> TileAccumulator:
         if tile not in self._known:

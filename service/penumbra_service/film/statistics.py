@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film import flags
+from penumbra_service.film.accumulator import FoldedSums
 from penumbra_service.film.grid import FLAG_BLOCK, block_lengths, block_starts
 from penumbra_service.film.scratch import Empty
 from penumbra_service.film.student import quantile
@@ -41,10 +41,6 @@ LARGEST: Final = float(np.finfo(np.float32).max)
 """What stands for a mean whose float32 sum has overflowed."""
 
 
-Sums = NDArray[Any] | Mapping[str, NDArray[Any]]
-"""(replicates, height, width) of SUM or SUM64, or their fields one by one."""
-
-
 @dataclass(frozen=True)
 class PixelStatistics:
     """Of the pixels of one tile. What a look at the error has no need of is computed when it is asked for."""
@@ -53,10 +49,12 @@ class PixelStatistics:
     mean: NDArray[np.float64]
     """(height, width, 4), R G B A."""
     variance: NDArray[np.float64]
-    """(height, width, 4): of the mean, NaN where it is not known."""
-    sums: Sums
+    """(height, width, 4): of the mean, NaN where it is not known. R G B alone where alpha's is not asked for."""
+    sums: FoldedSums
     deviations: NDArray[np.float64]
-    """(replicates, height, width, 4): of the replicates' means from the mean; 0 where a replicate has no sample."""
+    """(replicates, height, width, as many): of the replicates' means from the mean, times `scale`; 0 where a replicate has no
+    sample."""
+    scale: int
 
     @cached_property
     def replicates(self) -> NDArray[np.int64]:
@@ -105,65 +103,93 @@ class PixelStatistics:
     @cached_property
     def _squares(self) -> NDArray[np.float64]:
         """(replicates, height, width): of the deviations' luminance."""
-        return np.square(_luminance(self.deviations))
+        return np.square(_luminance(self.deviations) / self.scale)
 
     def _total(self, name: str) -> NDArray[np.uint64]:
         return np.asarray(self.sums[name].sum(axis=0, dtype=np.uint64))
 
 
 def pixel_statistics(
-    tile: Tile, sums: Sums, *, deterministic: bool = False, empty: Empty = np.empty
+    tile: Tile,
+    sums: NDArray[Any] | FoldedSums,
+    *,
+    deterministic: bool = False,
+    empty: Empty = np.empty,
+    of_alpha: bool = True,
 ) -> PixelStatistics:
-    """Statistics of a tile's sums, which hold all of its samples, in arrays that `empty` makes."""
-    rgba = sums["rgba"].transpose(3, 0, 1, 2)  # planes of channels, as FoldedSums has them
-    taken = sums["taken"]
-    least, most = int(taken.min(initial=0)), int(taken.max(initial=0))
-    complete = least > 0
-    there = taken > 0
-    counts = len(taken) if complete else there.sum(axis=0)
-    divisor = most if least == most > 0 else np.maximum(taken, 1, out=empty(taken.shape))
-    means = np.divide(rgba, divisor, out=empty(rgba.shape))
-    mean = means.sum(axis=1, out=empty((4, *taken.shape[1:])), initial=0.0)
-    mean /= counts if complete else np.maximum(counts, 1)
-    overflowed = _cap(mean)
-    if overflowed is None:
-        deviations = np.subtract(means, mean[:, None], out=means)
-    else:
-        with np.errstate(invalid="ignore"):  # inf - inf; such pixels are settled below
-            deviations = np.subtract(means, mean[:, None], out=means)
-    if not complete:
-        deviations[:, ~there] = 0.0
+    """Statistics of a tile's sums, (replicates, height, width) of SUM or SUM64, which hold all of its samples, in arrays that
+    `empty` makes. of_alpha: whether alpha's variance is asked for."""
+    folded = sums if isinstance(sums, FoldedSums) else FoldedSums([sums], sums.shape, empty)
+    given = _replicates_of(folded, empty)
+    mean = given.centre
+    deviations, of_them = (given.values, mean) if of_alpha else (given.values[:3], mean[:3])
+    finite = math.isfinite(mean.sum())
+    with np.errstate(invalid="warn" if finite else "ignore"):  # inf - inf; such pixels are settled below
+        deviations -= of_them[:, None]
+    if given.missing is not None:
+        deviations[:, given.missing] = 0.0
+    mean /= given.scale
+    overflowed = None if finite else _cap(mean)
     if overflowed is not None:
         deviations[:, :, overflowed] = 0.0
-    variance = np.einsum("crhw,crhw->chw", deviations, deviations, out=empty(mean.shape))
-    _divide(variance, counts, deterministic)
+    variance = np.einsum("crhw,crhw->chw", deviations, deviations, out=empty(of_them.shape))
+    _divide(variance, given, deterministic)
     if overflowed is not None:
         variance[:, overflowed] = np.nan
     of_pixels = mean.transpose(1, 2, 0), variance.transpose(1, 2, 0)
-    return PixelStatistics(tile, *of_pixels, sums, deviations.transpose(1, 2, 3, 0))
+    return PixelStatistics(tile, *of_pixels, folded, deviations.transpose(1, 2, 3, 0), given.scale)
 
 
-def _cap(mean: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Replaces means (4, height, width) that are beyond float32, in place; (height, width): which pixels had any, None for
-    none. Samples are finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes,
-    NaN)."""
-    if math.isfinite(mean.sum()):
-        return None
+@dataclass(frozen=True)
+class _Replicates:
+    """What the replicates have, before their centre is taken away. Planes of channels, as FoldedSums makes them."""
+
+    values: NDArray[np.float64]
+    """(4, replicates, height, width): means times `scale`."""
+    centre: NDArray[np.float64]
+    """(4, height, width): average of the values of replicates with samples."""
+    counts: int | NDArray[np.int64]
+    """(height, width): these replicates; one number where all pixels have as many."""
+    missing: NDArray[np.bool_] | None
+    """(replicates, height, width): which have no sample; None where all have."""
+    scale: int
+
+
+def _replicates_of(folded: FoldedSums, empty: Empty) -> _Replicates:
+    """Where all pixels have as many samples in every replicate, their sums are means times that number: nothing is divided."""
+    common = folded.common("taken")
+    values = folded.planes()
+    counts: int | NDArray[np.int64] = len(values[0])
+    missing = None
+    if not common:
+        taken = folded["taken"]
+        none = taken == 0
+        values /= np.maximum(taken, 1, out=empty(taken.shape))
+        if none.any():
+            missing, counts = none, len(none) - none.sum(axis=0)
+    centre = values.sum(axis=1, out=empty((4, *folded.shape[1:])), initial=0.0)
+    centre /= np.maximum(counts, 1)
+    return _Replicates(values, centre, counts, missing, common or 1)
+
+
+def _cap(mean: NDArray[Any]) -> NDArray[np.bool_]:
+    """Replaces means (4, height, width) that are beyond float32, in place; (height, width): which pixels had any. Samples are
+    finite, so that only their float32 sum can be infinite (or, under a filter with negative lobes, NaN)."""
     overflowed: NDArray[np.bool_] = ~np.isfinite(mean).all(axis=0)
     capped = np.nan_to_num(mean[:, overflowed], nan=LARGEST, posinf=LARGEST, neginf=-LARGEST)
     mean[:, overflowed] = capped
     return overflowed
 
 
-def _divide(squares: NDArray[Any], counts: int | NDArray[np.int64], deterministic: bool) -> None:
-    """Makes variances of sums of squares (4, height, width), in place. counts: replicates with samples, one number where
-    all pixels have as many."""
+def _divide(squares: NDArray[Any], given: _Replicates, deterministic: bool) -> None:
+    """Makes variances of sums of squares (channels, height, width), in place."""
+    counts = given.counts
     if isinstance(counts, int) and counts >= 2 and not deterministic:
-        squares /= counts * (counts - 1)
+        squares /= float(counts * (counts - 1) * given.scale**2)
         return
     counts = np.asarray(counts)
     known = (counts >= 2) & (not deterministic)
-    squares /= np.where(known, counts * (counts - 1), np.nan)
+    squares /= np.where(known, counts * (counts - 1) * float(given.scale) ** 2, np.nan)
 
 
 def _luminance(rgba: NDArray[Any]) -> NDArray[np.float64]:

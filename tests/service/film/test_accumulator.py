@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from penumbra_kernels.nodes import SUM64, Tile, aligned_ranges
-from penumbra_service.film.accumulator import TileAccumulator
+from penumbra_service.film.accumulator import FoldedSums, TileAccumulator
 
 TILE = Tile(8, 16, 3, 2)
 
@@ -62,7 +62,20 @@ def test_fold_is_the_plain_sum(samples):  # type: ignore[no-untyped-def]
     }
     assert tile.fold_layers(11) is None
     np.testing.assert_allclose(sums["rgba"], plain, rtol=11 * 2.0**-24)
-    assert (sums["taken"] == 11).all()
+    assert sums.of_replicates(slice(1, None))["rgba"].tobytes() == sums["rgba"][1:].tobytes()
+
+
+def test_counts_that_all_pixels_share_are_told_from_others():
+    shape = (3, 2, 3)
+    parts = [np.zeros(shape, SUM64), np.zeros(shape, SUM64)]
+    for part, taken in zip(parts, (8, 3), strict=True):
+        part["taken"] = taken
+    sums = FoldedSums(parts, shape)
+    assert (sums.common("taken"), sums.total("taken"), sums.total("rejected")) == (11, 11 * 3 * 2 * 3, 0)
+    parts[1]["taken"][1, 0, 1] += 2
+    other = FoldedSums(parts, shape)
+    assert other.common("taken") is None
+    assert other.total("taken") == sums.total("taken") + 2
 
 
 def test_duplicates_and_parts_of_what_is_there_are_dropped(samples):  # type: ignore[no-untyped-def]

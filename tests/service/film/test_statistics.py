@@ -85,6 +85,30 @@ def test_it_is_the_delete_one_jackknife():
     assert _stats(_sums(values)).variance[0, 0, 0] == pytest.approx(jackknife, rel=1e-6)
 
 
+@pytest.mark.parametrize("taken", [1, 4, 5, 7])
+def test_equal_counts_make_no_difference(taken):  # type: ignore[no-untyped-def]
+    """One pixel that has more samples than the others has the replicates' means formed one by one, theirs too."""
+    rng = np.random.default_rng(taken)
+    sums = _sums(taken * rng.random((R, 8, 8)), taken=taken)
+    other = sums.copy()
+    other["taken"][:, 7, 7] += 1
+    one, apart = _stats(sums), _stats(other)
+    assert (one.scale, apart.scale) == (taken, 1)
+    rows = np.s_[:7]
+    assert one.mean[rows] == pytest.approx(apart.mean[rows], rel=1e-14)
+    assert one.variance[rows] == pytest.approx(apart.variance[rows], rel=1e-12)
+    assert one.largest_share[rows] == pytest.approx(apart.largest_share[rows], rel=1e-12)
+    assert np.array_equal(one.calm[rows], apart.calm[rows])
+
+
+def test_replicates_that_agree_have_no_variance_at_all():
+    """Not even that of rounding: 0.1 and its sums are no binary fractions."""
+    for taken in (3, 4):
+        pixels = _stats(_sums(np.full((4, 8, 8), taken * 0.1), taken=taken))
+        assert not pixels.variance.any()
+        assert pixels.calm.all()
+
+
 def test_empty_replicates_are_left_out_and_empty_pixels_flagged():
     taken = np.zeros((4, 1, 3))
     taken[:, 0, 0] = [1, 1, 0, 0]
