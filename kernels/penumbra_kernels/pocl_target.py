@@ -24,8 +24,15 @@ _RECORD_BYTES: Final = 1024
 """The pair is at byte 632 in PoCL 3.0; the record is longer than this."""
 _WORD: Final = struct.Struct("=Q")
 
+_SKYLAKE: Final = frozenset({"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "fma"})
+_ICELAKE: Final = _SKYLAKE | {
+    "avx512ifma", "avx512vbmi", "avx512_vbmi2", "avx512_bitalg", "avx512_vnni", "avx512_vpopcntdq",
+    "gfni", "vaes", "vpclmulqdq", "sha_ni",
+}  # fmt: skip
+
 TARGETS: Final[tuple[tuple[str, frozenset[str]], ...]] = (
-    ("skylake-avx512", frozenset({"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "fma"})),
+    ("icelake-server", _ICELAKE),
+    ("skylake-avx512", _SKYLAKE),
     ("haswell", frozenset({"avx2", "fma", "bmi1", "bmi2", "f16c", "movbe"})),
     ("x86-64", frozenset()),
 )

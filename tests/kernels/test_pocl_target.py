@@ -9,6 +9,10 @@ from penumbra_kernels.device import Device, devices
 from penumbra_kernels.pocl_target import Reader, find_unknown, name_target, target_for
 
 SKYLAKE = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx2", "fma"}
+ICELAKE = SKYLAKE | {
+    "avx512ifma", "avx512vbmi", "avx512_vbmi2", "avx512_bitalg", "avx512_vnni", "avx512_vpopcntdq",
+    "gfni", "vaes", "vpclmulqdq", "sha_ni",
+}  # fmt: skip
 
 
 def record(*texts: bytes | None) -> tuple[ctypes.Array[ctypes.c_uint64], list[object]]:
@@ -60,6 +64,8 @@ def test_a_record_gets_a_name_that_llvm_knows() -> None:
 @pytest.mark.parametrize(
     ("features", "target"),
     [
+        (ICELAKE, "icelake-server"),
+        (ICELAKE - {"gfni"}, "skylake-avx512"),
         (SKYLAKE, "skylake-avx512"),
         (SKYLAKE - {"avx512dq"}, "x86-64"),
         ({"avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "avx512f"}, "haswell"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from penumbra_kernels.compile.filters import compile_filter, profile_of
+from penumbra_kernels.device import Device
 from penumbra_scene.film import Film
 from scipy.integrate import quad
 
@@ -19,6 +20,29 @@ __kernel void offsets(__global float4 *out, const __global float *table, const f
   float weight;
   const float2 offset = filter_sample(table, radius, u[get_global_id(0)], &weight);
   out[get_global_id(0)] = (float4)(offset, weight, 0.0f);
+}
+"""
+# Filter positions of sixteen lanes, and of each alone; every fifth lane is off and leaves zeros.
+LANES = """
+#include "film/filter.cl"
+#include "camera/camera16.cl"
+__kernel void both(__global float4 *out, const __global float *table, const float radius, const __global float2 *u) {
+  const uint first = LANES * (uint)get_global_id(0);
+  float16 ux, uy, x, y, weight;
+  Mask16 on;
+  for (uint k = 0u; k < LANES; k++) {
+    LANE_F(ux, k) = u[first + k].x;
+    LANE_F(uy, k) = u[first + k].y;
+    LANE_I(on, k) = (first + k) % 5u == 4u ? 0 : -1;
+  }
+  filter_sample16(table, radius, ux, uy, on, &x, &y, &weight);
+  for (uint k = 0u; k < LANES; k++) {
+    if (!LANE_I(on, k)) continue;
+    float alone;
+    const float2 offset = filter_sample(table, radius, u[first + k], &alone);
+    out[2u * (first + k)] = (float4)(LANE_F(x, k), LANE_F(y, k), LANE_F(weight, k), 1.0f);
+    out[2u * (first + k) + 1u] = (float4)(offset, alone, 1.0f);
+  }
 }
 """
 COUNT = 1 << 16
@@ -133,3 +157,30 @@ def test_the_box_maps_straight(offsets: Offsets) -> None:
     u = np.float32([[0.5, 0.5], [0, 0.25], [0.75, 1 - 2**-24]])
     got = offsets(model_of("box"), u)
     np.testing.assert_array_equal(got[:, :2], np.float32(u.astype(np.float64) - 0.5))
+
+
+@pytest.fixture(
+    scope="module", params=[{}, {"PENUMBRA_BUILTINS": 0, "PENUMBRA_X86": 0}], ids=["native", "portable"]
+)
+def lanes(request: pytest.FixtureRequest, compiled: Any, device: Device) -> Any:
+    return compiled(LANES, {**device.flags, **request.param})
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_each_lane_is_what_one_gives(lanes: Any, name: str) -> None:
+    """Also at the bounds of cells and next to them, where the search must not be off by one."""
+    model = model_of(name)
+    table = compile_filter(model)
+    u = np.random.default_rng(9).random((COUNT, 2), np.float32)
+    cdf = table[2 + 2 :: 6][: int(table[0])]
+    bounds = np.concatenate([0.5 + 0.5 * cdf, 0.5 - 0.5 * cdf])
+    edges = np.concatenate(
+        [bounds, np.nextafter(bounds, np.float32(2)), np.nextafter(bounds, np.float32(-1))]
+    )
+    edges = np.clip(edges, 0.0, 1.0 - 2.0**-24).astype(np.float32)
+    u[: len(edges), 0] = u[len(edges) : 2 * len(edges), 1] = edges
+    out = np.zeros((COUNT, 2, 4), np.float32)
+    lanes("both", COUNT // 16, out, table, np.float32(model.radius), u)
+    assert (out[:, 0].view(np.uint32) == out[:, 1].view(np.uint32)).all()
+    assert out[:, 0, 3].sum() > 0.79 * COUNT
+    assert len(np.unique(out[:, 0, 0])) > 1000

@@ -6,6 +6,7 @@
 #define LANE_LEVELS 4u  // log2(LANES)
 #define VECTORS 8u      // of lanes, that are traced together: four lose a twentieth under an open sky, sixteen win nothing
 #define BATCH (VECTORS * LANES)
+typedef float16 __attribute__((aligned(4))) LooseFloat16;  // anywhere in an array of floats
 typedef int16 Mask16;  // a lane's condition: all bits set, or none
 
 // Lets a compiler use registers of 512 bits where the processor has them; left alone, LLVM halves such vectors. For kernels, and for
@@ -176,7 +177,6 @@ static inline Rows16 gather_rows16(const __global void *from, const uint16 index
 
 // Stores the lanes of `bits` from `to` on, in their order, and behind them what means nothing: LANES numbers in all.
 #if PENUMBRA_X86 && defined(__AVX512F__) && defined(__AVX512DQ__)
-typedef float16 __attribute__((aligned(4))) LooseFloat16;  // anywhere in an array of floats
 static inline void store_lanes16(const float16 v, const uint bits, float *to) {
   *(LooseFloat16 *)to = __builtin_ia32_compresssf512_mask(v, v, (ushort)bits);
 }

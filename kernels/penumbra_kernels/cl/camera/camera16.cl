@@ -5,30 +5,6 @@
 #include "film/filter.cl"
 #include "sampling/warp16.cl"
 
-// sample_table of each lane.
-static inline float16 sample_table16(const __global float *table, const float16 v, const Mask16 on, float16 *sign) {
-  const uint count = (uint)table[0];
-  const __global float *cells = table + TABLE_HEADER;
-  uint16 cell = 0u;
-  if (count > 1u) {
-    for (LANES_OF(k, on)) {
-      uint low = 0u, high = count;
-      while (high - low > 1u) {
-        const uint middle = (low + high) >> 1;
-        if (cells[middle * TABLE_STRIDE + TABLE_CDF] <= LANE_F(v, k)) low = middle; else high = middle;
-      }
-      LANE_U(cell, k) = low * TABLE_STRIDE;
-    }
-  }
-  const float16 d0 = gather16(cells, cell + TABLE_DENSITY, on), d1 = gather16(cells, cell + TABLE_DENSITY + 1u, on);
-  const float16 r = v - gather16(cells, cell + TABLE_CDF, on);
-  const float16 root = d0 + safe_sqrt16(d0 * d0 + 2.0f * (d1 - d0) * r);
-  const float16 zero = 0.0f, one = 1.0f, part = 2.0f * r / root;
-  const float16 x = r > 0.0f ? MIN16(part, one) : zero;
-  *sign = gather16(cells, cell + TABLE_SIGN, on);
-  return gather16(cells, cell + TABLE_LEFT, on) + x * gather16(cells, cell + TABLE_WIDTH, on);
-}
-
 static inline float16 filter_axis16(const __global float *table, const float16 u, const Mask16 on, float16 *sign) {
   const float16 side = 2.0f * u - 1.0f;
   return copy_sign16(sample_table16(table, abs16(side), on, sign), side);

@@ -28,10 +28,10 @@ static inline void end_paths16(const Paths16 *p, const uint bits, PathSamples16 
 
 // The first `count` paths of the batch are on: those of vector w.
 static inline void hold_paths16(Batch16 *batch, const uint w, const uint count) {
-  const Mask16 on = lanes_from(0u, count - w * LANES);
-  batch->on[w] = on;
-  batch->held[w] = mask16(on);
-  sampler_start16(&batch->samples, batch->paths[w].number, on, batch->samplers + w);
+  const uint some = MIN(count - w * LANES, LANES);
+  batch->on[w] = lanes_from(0u, some);
+  batch->held[w] = (1u << some) - 1u;
+  sampler_start16(&batch->samples, batch->paths[w].number, some, batch->samplers + w);
 }
 
 static inline uint alive_in16(const Batch16 *batch) {

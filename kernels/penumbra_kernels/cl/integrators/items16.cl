@@ -6,9 +6,14 @@
 
 #define MAX_ITEMS 64u  // of a batch
 
-// The pixels of LANES samples, in pixels of the full frame. of: each sample's item.
-static inline Point16 lane_pixels(const Item *items, const uchar *of) {
+// The pixels of `count` samples or more, up to LANES, in pixels of the full frame. of: each sample's item, rising.
+static inline Point16 lane_pixels(const Item *items, const uchar *of, const uint count) {
   Point16 at;
+  if (of[0] == of[count - 1u]) {
+    at.x = (float)items[of[0]].x;
+    at.y = (float)items[of[0]].y;
+    return at;
+  }
   for (uint k = 0u; k < LANES; k++) {
     LANE_F(at.x, k) = (float)items[of[k]].x;
     LANE_F(at.y, k) = (float)items[of[k]].y;
@@ -150,7 +155,6 @@ static inline uint fill_batch(const Launch *launch, const uint first, const uint
   }
   for (uint k = *count; k < BATCH; k++) samples->of[k] = 0u;
   samples->samplers = samplers;
-  samples->one = n == 1u;
   return n;
 }
 
@@ -162,7 +166,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void trace_samples(const Launch *launch, 
   batch->moved = false;
   for (uint w = 0u; w < batch->vectors; w++) {
     const uint first = w * LANES;
-    const Point16 at = lane_pixels(items, batch->samples.of + first);
+    const Point16 at = lane_pixels(items, batch->samples.of + first, MIN(count - first, LANES));
     batch->paths[w].number = lane + first;
     hold_paths16(batch, w, count);
     paths_start16(batch->paths + w, start_rays16(launch, at, batch->samplers + w, batch->on[w], weight + w));

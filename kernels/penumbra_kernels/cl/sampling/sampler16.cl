@@ -10,12 +10,12 @@
   ((PENUMBRA_SAMPLER == SAMPLER_SOBOL || PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT) &&      \
    !PENUMBRA_PICK_FREEZE && !PENUMBRA_COUNT_DRAWS)
 
-// Samples that are traced together, by their numbers among them.
+// Samples that are traced together, by their numbers among them: those of a pixel and replicate stand together, with consecutive
+// indices, the pixels in their order.
 typedef struct {
   const Sampler *samplers;  // one a pixel and replicate
   uchar of[BATCH];          // which of them is each sample's
   ulong index[BATCH];       // of each sample
-  bool one;                 // all have the first, and consecutive indices
 } Samples;
 
 typedef struct {
@@ -24,34 +24,46 @@ typedef struct {
 #if PENUMBRA_ROWS
   const Sampler *first;  // the first lane's sampler
   bool one;              // which is that of all lanes
-  ulong16 keys;          // the samplers', a lane each
+  bool rows;             // the indices' high halves are the same for all lanes
+  ulong high;            // and this
   uint16 low;            // of the indices, their low halves
-  ulong high;            // and their high half, where it is the same for all
-  bool rows;
+  uint16 element;        // what draw_row_1d and _2d take for these
+  ulong16 keys;          // the samplers', a lane each, where they are several
 #endif
 } Sampler16;
 
-// number: of the samples of the lanes that are on, which are the first ones.
-static inline void sampler_start16(const Samples *samples, const uint16 number, const Mask16 on, Sampler16 *s) {
+#if PENUMBRA_ROWS
+static inline uint16 element_of16(const uint16 low) {
+#if PENUMBRA_SAMPLER == SAMPLER_SOBOL
+  return shuffle_start16(low);
+#else
+  return low;
+#endif
+}
+#endif
+
+// number: of the samples of the `count` lanes that are on, which are the first ones; rising.
+static inline void sampler_start16(const Samples *samples, const uint16 number, const uint count, Sampler16 *s) {
   s->samples = samples;
   s->number = number;
 #if PENUMBRA_ROWS
-  const uint start = LANE_U(s->number, 0u);
-  s->first = samples->samplers + samples->of[start];
-  s->one = true;
-  s->high = samples->index[start] >> 32;
-  s->keys = s->first->key;
-  s->low = (uint)samples->index[0] + number;
-  s->rows = (samples->index[0] + BATCH - 1ul) >> 32 == samples->index[0] >> 32;
-  if (samples->one) return;
-  s->rows = true;
-  for (LANES_OF(k, on)) {
-    const uint at = LANE_U(s->number, k);
-    s->one = s->one && samples->of[at] == samples->of[start];
-    s->rows = s->rows && samples->index[at] >> 32 == s->high;
-    LANE_U(s->low, k) = (uint)samples->index[at];
-    ((ulong *)&s->keys)[k] = samples->samplers[samples->of[at]].key;
+  const uint start = LANE_U(s->number, 0u), end = LANE_U(s->number, count - 1u), of = samples->of[start];
+  const ulong index = samples->index[start];
+  s->first = samples->samplers + of;
+  s->one = of == samples->of[end];
+  s->high = index >> 32;
+  s->rows = samples->index[end] >> 32 == s->high;
+  s->low = number + ((uint)index - start);
+  if (!s->one) {
+    s->keys = s->first->key;
+    for (uint k = 0u; k < count; k++) {
+      const uint at = LANE_U(s->number, k);
+      s->rows = s->rows && samples->index[at] >> 32 == s->high;
+      LANE_U(s->low, k) = (uint)samples->index[at];
+      ((ulong *)&s->keys)[k] = samples->samplers[samples->of[at]].key;
+    }
   }
+  s->element = element_of16(s->low);
 #endif
 }
 
@@ -98,7 +110,9 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 #if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT
 static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim, const uint16 *element) {
   const ulong16 whole = to_ulong16(*element) | (s->high << 32);
-  return mix64_16(hash_combine16(s->keys, dim) + HASH_STEP * (whole + 1ul));
+  ulong16 keys = hash_combine(s->first->key, dim);
+  if (!s->one) keys = hash_combine16(s->keys, dim);
+  return mix64_16(keys + HASH_STEP * (whole + 1ul));
 }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
@@ -113,10 +127,10 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 #endif
 
 #if PENUMBRA_ROWS
-// Elements of a dimension's sequence that each sample takes m of, the j-th: their low halves, the high half being that of the samples'
-// indices. False where it is not.
+// Elements of a dimension's sequence that each sample takes m of, the j-th. False where their high half is not that of the samples'
+// indices.
 static inline bool elements16(const Sampler16 *s, const uint j, const uint m, uint16 *element) {
-  *element = s->low * m + j;
+  *element = m == 1u ? s->element : element_of16(s->low * m + j);
   return m == 1u ? s->rows : s->rows && s->high == 0ul && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
 }
 #endif

@@ -10,15 +10,16 @@ static inline uint16 reverse_bits16(const uint16 bits) {
   return ((x >> 1u) & 0x55555555u) | ((x & 0x55555555u) << 1u);
 }
 
-// A seed a lane: of one that all share a compiler makes what it needs.
-static inline uint16 scramble_reversed16(uint16 x, const uint16 seed) {
-  x ^= x * 0x3d20adeau;
+// scramble_reversed begins with what no seed has a part in. A seed a lane: of one that all share a compiler makes what it needs.
+static inline uint16 scramble_start16(const uint16 x) { return x ^ x * 0x3d20adeau; }
+static inline uint16 scramble_end16(uint16 x, const uint16 seed) {
   x += seed;
   x *= (seed >> 16u) | 1u;
   x ^= x * 0x05526c56u;
   x ^= x * 0x53a22864u;
   return x;
 }
+static inline uint16 scramble_reversed16(const uint16 x, const uint16 seed) { return scramble_end16(scramble_start16(x), seed); }
 
 static inline uint16 pascal_reversed16(uint16 index) {
   index ^= index >> 16u;
@@ -28,10 +29,9 @@ static inline uint16 pascal_reversed16(uint16 index) {
   return index ^ ((index & 0xaaaaaaaau) >> 1u);
 }
 
-// Indices after the dimension's shuffle, by its hashes.
-static inline uint16 shuffled16(const uint16 index, const uint16 key) {
-  return reverse_bits16(scramble_reversed16(reverse_bits16(index), key));
-}
+// Indices before a dimension's shuffle, which is the same for all dimensions, and after it, by its hashes.
+static inline uint16 shuffle_start16(const uint16 index) { return scramble_start16(reverse_bits16(index)); }
+static inline uint16 shuffled16(const uint16 start, const uint16 key) { return reverse_bits16(scramble_end16(start, key)); }
 
 static inline float16 sobol_x16(const uint16 shuffled, const uint16 seed) {
   return uniform_of16(reverse_bits16(scramble_reversed16(shuffled, seed)));

@@ -97,7 +97,7 @@ static inline uint sample_cdf(const __global float *cdf, const uint count, const
 }
 
 // A density that is linear within each cell of a partition of an interval, as compile/tables.py lays it out: the number
-// of cells, the weight that goes with a sample, then TABLE_STRIDE floats a cell.
+// of cells, the weight that goes with a sample, then TABLE_STRIDE floats a cell; where there are several, bounds to search by.
 #define TABLE_HEADER 2u
 #define TABLE_STRIDE 6u
 #define TABLE_LEFT 0u     // where the cell begins
@@ -106,17 +106,22 @@ static inline uint sample_cdf(const __global float *cdf, const uint count, const
 #define TABLE_DENSITY 3u  // probability per unit of the cell's own coordinate, at its left end and at its right end
 #define TABLE_SIGN 5u     // +1, or -1 where the tabulated function is negative
 
-// A point with the table's density, for v in [0, 1], and the sign of the function there. The inverse of a quadratic CDF in
-// the form without cancellation: x = 2 r / (d0 + sqrt(d0^2 + 2 (d1 - d0) r)).
-static inline float sample_table(const __global float *table, const float v, float *sign) {
+// The last cell that begins at v or before.
+static inline uint find_cell(const __global float *table, const float v) {
+  const __global float *cells = table + TABLE_HEADER;
   uint low = 0u;
   uint high = (uint)table[0];
-  const __global float *cells = table + TABLE_HEADER;
   while (high - low > 1u) {
     const uint middle = (low + high) >> 1;
     if (cells[middle * TABLE_STRIDE + TABLE_CDF] <= v) low = middle; else high = middle;
   }
-  const __global float *cell = cells + low * TABLE_STRIDE;
+  return low;
+}
+
+// A point with the table's density, for v in [0, 1], and the sign of the function there. The inverse of a quadratic CDF in
+// the form without cancellation: x = 2 r / (d0 + sqrt(d0^2 + 2 (d1 - d0) r)).
+static inline float sample_table(const __global float *table, const float v, float *sign) {
+  const __global float *cell = table + TABLE_HEADER + find_cell(table, v) * TABLE_STRIDE;
   const float d0 = cell[TABLE_DENSITY];
   const float d1 = cell[TABLE_DENSITY + 1u];
   const float r = v - cell[TABLE_CDF];
