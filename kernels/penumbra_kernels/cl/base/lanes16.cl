@@ -131,26 +131,12 @@ typedef struct {
   float16 x, y, z, w;
 } Rows16;
 
-// Four words from word index[k] of a record or array on, in each lane, all of which are there to read: seven times as fast as four
-// gathers. Lanes that are off read from word 0 on.
+// Rows of lanes k, k + 4, k + 8 and k + 12 in turn, for k from 0 to 3 (four_rows), become a lane's word each.
 #if PENUMBRA_BUILTINS
-typedef float4 __attribute__((aligned(4))) LooseFloat4;  // anywhere in an array of floats
 #define UNPACK16(a, b, i, j, k, l)                                                                                    \
   __builtin_shufflevector(a, b, i, j, k, l, i + 4, j + 4, k + 4, l + 4, i + 8, j + 8, k + 8, l + 8, i + 12, j + 12, \
                           k + 12, l + 12)
-static inline float16 four_rows(const __global float *from, const uint *index) {
-  float16 r;
-  r.s0123 = *(const __global LooseFloat4 *)(from + index[0]);
-  r.s4567 = *(const __global LooseFloat4 *)(from + index[4]);
-  r.s89ab = *(const __global LooseFloat4 *)(from + index[8]);
-  r.scdef = *(const __global LooseFloat4 *)(from + index[12]);
-  return r;
-}
-static inline Rows16 gather_rows16(const __global void *from, const uint16 index, const Mask16 on) {
-  const uint16 each = on ? index : (uint16)(0u);
-  const __global float *words = (const __global float *)from;
-  const uint *at = (const uint *)&each;
-  const float16 r0 = four_rows(words, at), r1 = four_rows(words, at + 1), r2 = four_rows(words, at + 2), r3 = four_rows(words, at + 3);
+static inline Rows16 turn_rows16(const float16 r0, const float16 r1, const float16 r2, const float16 r3) {
   const float16 a = UNPACK16(r0, r1, 0, 16, 1, 17), b = UNPACK16(r2, r3, 0, 16, 1, 17);
   const float16 c = UNPACK16(r0, r1, 2, 18, 3, 19), d = UNPACK16(r2, r3, 2, 18, 3, 19);
   Rows16 rows;
@@ -161,19 +147,54 @@ static inline Rows16 gather_rows16(const __global void *from, const uint16 index
   return rows;
 }
 #else
-static inline Rows16 gather_rows16(const __global void *from, const uint16 index, const Mask16 on) {
-  const uint16 at = on ? index : (uint16)(0u);
-  const __global float *words = (const __global float *)from;
+static inline Rows16 turn_rows16(const float16 r0, const float16 r1, const float16 r2, const float16 r3) {
+  const float16 r[4] = {r0, r1, r2, r3};
   Rows16 rows;
   for (uint k = 0u; k < LANES; k++) {
-    LANE_F(rows.x, k) = words[LANE_U(at, k)];
-    LANE_F(rows.y, k) = words[LANE_U(at, k) + 1u];
-    LANE_F(rows.z, k) = words[LANE_U(at, k) + 2u];
-    LANE_F(rows.w, k) = words[LANE_U(at, k) + 3u];
+    const float *row = (const float *)(r + k % 4u) + k / 4u * 4u;
+    LANE_F(rows.x, k) = row[0];
+    LANE_F(rows.y, k) = row[1];
+    LANE_F(rows.z, k) = row[2];
+    LANE_F(rows.w, k) = row[3];
   }
   return rows;
 }
 #endif
+
+// Four words from word index[0], index[4], index[8] and index[12] of a record or array on.
+#if PENUMBRA_BUILTINS
+typedef float4 __attribute__((aligned(4))) LooseFloat4;  // anywhere in an array of floats
+static inline float16 four_rows(const __global float *from, const uint *index) {
+  float16 r;
+  r.s0123 = *(const __global LooseFloat4 *)(from + index[0]);
+  r.s4567 = *(const __global LooseFloat4 *)(from + index[4]);
+  r.s89ab = *(const __global LooseFloat4 *)(from + index[8]);
+  r.scdef = *(const __global LooseFloat4 *)(from + index[12]);
+  return r;
+}
+#else
+static inline float16 four_rows(const __global float *from, const uint *index) {
+  return (float16)(vload4(0, from + index[0]), vload4(0, from + index[4]), vload4(0, from + index[8]), vload4(0, from + index[12]));
+}
+#endif
+
+// What lanes k, k + 4, k + 8 and k + 12 have, k < 4, in four lanes each.
+#if PENUMBRA_512
+static inline float16 four_of16(const float16 v, const uint k) { return __builtin_ia32_vpermilvarps512(v, (int16)((int)k)); }
+#else
+static inline float16 four_of16(const float16 v, const uint k) {
+  return (float16)((float4)(LANE_F(v, k)), (float4)(LANE_F(v, k + 4u)), (float4)(LANE_F(v, k + 8u)), (float4)(LANE_F(v, k + 12u)));
+}
+#endif
+
+// Four words from word index[k] of a record or array on, in each lane, all of which are there to read: seven times as fast as four
+// gathers. Lanes that are off read from word 0 on.
+static inline Rows16 gather_rows16(const __global void *from, const uint16 index, const Mask16 on) {
+  const uint16 each = on ? index : (uint16)(0u);
+  const __global float *words = (const __global float *)from;
+  const uint *at = (const uint *)&each;
+  return turn_rows16(four_rows(words, at), four_rows(words, at + 1), four_rows(words, at + 2), four_rows(words, at + 3));
+}
 
 // Stores the lanes of `bits` from `to` on, in their order, and behind them what means nothing: LANES numbers in all.
 #if PENUMBRA_X86 && defined(__AVX512F__) && defined(__AVX512DQ__)
@@ -183,6 +204,17 @@ static inline void store_lanes16(const float16 v, const uint bits, float *to) {
 #else
 static inline void store_lanes16(const float16 v, const uint bits, float *to) {
   for (uint left = bits; left; left &= left - 1u) *to++ = LANE_F(v, CTZ(left));
+}
+#endif
+
+// The lowest bits of `from`, in their order, where `mask` has bits.
+#if PENUMBRA_X86 && defined(__BMI2__)
+static inline uint deposit_bits(const uint from, const uint mask) { return __builtin_ia32_pdep_si(from, mask); }
+#else
+static inline uint deposit_bits(uint from, const uint mask) {
+  uint out = 0u;
+  for (uint left = mask; left; left &= left - 1u, from >>= 1u) out |= from & 1u ? left & -left : 0u;
+  return out;
 }
 #endif
 

@@ -40,9 +40,11 @@ static inline uint alive_in16(const Batch16 *batch) {
   return alive;
 }
 
-// Moves the paths that go on to the front of as few vectors as hold them; those that have ended bring what they have.
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void pack_paths16(Batch16 *batch, const uint alive) {
-  const uint packed = (alive + LANES - 1u) / LANES;
+// Moves the paths that go on to the front of as few vectors as hold them, where that spares one; those that have ended bring what they
+// have.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void pack_paths16(Batch16 *batch) {
+  const uint alive = alive_in16(batch), packed = (alive + LANES - 1u) / LANES;
+  if (packed == batch->vectors) return;
   float16 rows[ROWS_OF(Paths16)][VECTORS + 1u];
   uint at = 0u;
   for (uint w = 0u; w < batch->vectors; w++) {
@@ -62,9 +64,47 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void pack_paths16(Batch16 *batch, const u
   batch->moved = true;
 }
 
-#if PENUMBRA_LARGE_TREES
-#define FLOWN VECTORS  // vectors whose rays and hits are kept at once
+// Rays to lights that vectors of paths wait for go together where any go together: each as if it were alone, whoever waited with it, so
+// that they are packed into as few vectors as hold them. hit: those of each vector that meet anything, a bit a lane.
+static inline void follow_packed16(const SceneData *scene, const uint vectors, const Waiting16 *waiting, uint *hit) {
+  float16 rows[ROWS_OF(Ray16)][VECTORS + 1u];
+  uint count = 0u;
+  for (uint w = 0u; w < vectors; w++) {
+    const uint bits = mask16(waiting[w].lit);
+    const float16 *from = (const float16 *)&waiting[w].rays.ray;
+    for (uint row = 0u; row < ROWS_OF(Ray16); row++) store_lanes16(from[row], bits, (float *)rows[row] + count);
+    count += POPCOUNT(bits);
+  }
+  for (uint w = 0u; w * LANES < count; w++) {
+    Ray16 ray;
+    for (uint row = 0u; row < ROWS_OF(Ray16); row++) ((float16 *)&ray)[row] = rows[row][w];
+    hit[w] = mask16(occluded16(scene, true, &ray, lanes_from(0u, count - w * LANES)));
+  }
+}
 
+// The waiting lanes whose rays meet anything, of each vector.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void occlude_packed16(const SceneData *scene, const uint vectors, const Waiting16 *waiting,
+                                                             Mask16 *found) {
+  uint hit[VECTORS + 1u], at = 0u, rays = 0u, some = 0u;
+  for (uint w = 0u; w < vectors; w++) {
+    const uint count = POPCOUNT(mask16(waiting[w].lit));
+    rays += count;
+    some += count ? 1u : 0u;
+  }
+  if (rays + LANES > some * LANES) {
+    for (uint w = 0u; w < vectors; w++)
+      if (any16(waiting[w].lit)) found[w] = occluded16(scene, true, &waiting[w].rays.ray, waiting[w].lit);
+    return;
+  }
+  follow_packed16(scene, vectors, waiting, hit);
+  for (uint w = 0u; w < vectors; w++) {
+    const uint bits = mask16(waiting[w].lit), next = hit[at / LANES] | hit[at / LANES + 1u] << LANES;
+    found[w] = lanes_of_bits(deposit_bits(next >> at % LANES, bits));
+    at += POPCOUNT(bits);
+  }
+}
+
+#if PENUMBRA_LARGE_TREES
 // What the rays of all vectors meet.
 static inline void fly_batch16(const SceneData *scene, Batch16 *batch, Wing16 *wings) {
   for (uint w = 0u; w < batch->vectors; w++) {
@@ -74,39 +114,38 @@ static inline void fly_batch16(const SceneData *scene, Batch16 *batch, Wing16 *w
   fly16(scene, wings, batch->vectors, false);
 }
 
-// Light that the vectors wait for.
-static inline void gather_waiting16(const SceneData *scene, const __global Params *params, Batch16 *batch, Waiting16 *waiting,
-                                    Wing16 *wings) {
+// The same on their own ways.
+static inline void occlude_flying16(const SceneData *scene, const uint vectors, const Waiting16 *waiting, Wing16 *wings,
+                                    Mask16 *found) {
   uint of[VECTORS], count = 0u;
-  for (uint w = 0u; w < batch->vectors; w++) {
+  for (uint w = 0u; w < vectors; w++) {
     if (!any16(waiting[w].lit)) continue;
     of[count] = w;
     wings[count].rays = &waiting[w].rays.ray;
     wings[count++].on = waiting[w].lit;
   }
   if (count) fly16(scene, wings, count, true);
-  for (uint i = 0u; i < count; i++) {
-    Waiting16 *at = waiting + of[i];
-    Paths16 *p = batch->paths + of[i];
-    arrive16(&at->rays, at->lit & ~wings[i].found, p, &at->direct);
-    gather_light16(params, at, p);
-  }
+  for (uint i = 0u; i < count; i++) found[of[i]] = wings[i].found;
 }
-#else
-#define FLOWN 1u
 #endif
 
-static inline void pack_where_less16(Batch16 *batch) {
-  const uint alive = alive_in16(batch);
-  if (alive + LANES <= batch->vectors * LANES) pack_paths16(batch, alive);
+// Light that the vectors wait for, but what is in the shade.
+static inline void gather_waiting16(const __global Params *params, Batch16 *batch, const Mask16 *found, Waiting16 *waiting) {
+  for (uint w = 0u; w < batch->vectors; w++) {
+    Waiting16 *at = waiting + w;
+    if (!any16(at->smooth)) continue;
+    arrive16(&at->rays, at->lit & ~found[w], batch->paths + w, &at->direct);
+    gather_light16(params, at, batch->paths + w);
+  }
 }
 
 // All paths of a batch, from their camera rays to their ends: some end by leaving the scene, others by what they meet.
 static inline void trace_batch16(const SceneData *scene, const __global Params *params, Batch16 *batch) {
   const uint lights = direct_count(scene, params);
-  Waiting16 waiting[FLOWN];
+  Waiting16 waiting[VECTORS];
+  Mask16 found[VECTORS];
 #if PENUMBRA_LARGE_TREES
-  Wing16 wings[FLOWN];
+  Wing16 wings[VECTORS];
 #endif
   for (uint bounce = 0u; batch->vectors; bounce++) {
     const bool together = together16(params, bounce == 0u);
@@ -125,12 +164,14 @@ static inline void trace_batch16(const SceneData *scene, const __global Params *
 #endif
       meet16(scene, params, batch->on[w], on, p);
     }
-    pack_where_less16(batch);
+    pack_paths16(batch);
     for (uint w = 0u; w < batch->vectors; w++)
-      batch->on[w] = shade16(scene, params, batch->samplers + w, bounce, lights, batch->on[w], batch->paths + w, waiting + w % FLOWN);
+      batch->on[w] = shade16(scene, params, batch->samplers + w, bounce, lights, batch->on[w], batch->paths + w, waiting + w);
+    if (any_together16(params)) occlude_packed16(scene, batch->vectors, waiting, found);
 #if PENUMBRA_LARGE_TREES
-    gather_waiting16(scene, params, batch, waiting, wings);
+    else occlude_flying16(scene, batch->vectors, waiting, wings, found);
 #endif
-    pack_where_less16(batch);
+    gather_waiting16(params, batch, found, waiting);
+    pack_paths16(batch);
   }
 }

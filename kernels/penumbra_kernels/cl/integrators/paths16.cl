@@ -221,6 +221,7 @@ static inline Mask16 light_rays16(const SceneData *scene, const Surface16 *surfa
     out->ray.o = where16(near, out->ray.o, away.o);
     out->ray.d = where16(near, out->ray.d, away.d);
     out->ray.tmax = near ? out->ray.tmax : away.tmax;
+    out->ray.time = time;
   }
   out->value = scale16(value, weight / sample.pdf);
   out->effect = delta ? (uint16)(EFFECT_DELTA_LIGHT) : (uint16)(EFFECT_AREA_LIGHT);
@@ -260,20 +261,21 @@ static inline Mask16 direct_rays16(const SceneData *scene, const __global Params
 }
 
 // Whether rays go through the trees together: alike ones always, any where the trees are small.
-static inline bool together16(const __global Params *params, const bool alike) {
+static inline bool any_together16(const __global Params *params) {
 #if PENUMBRA_LARGE_TREES
-  return alike || (params->options & OPTION_TOGETHER) != 0u;
+  return (params->options & OPTION_TOGETHER) != 0u;
 #else
   return true;
 #endif
 }
+static inline bool together16(const __global Params *params, const bool alike) { return alike || any_together16(params); }
 
 // Rays of one pixel's hits to lights are alike, but for those to the environment, which go anywhere.
 static inline bool alike_to_lights16(const LightRay16 *rays, const uint bounce, const Mask16 on) {
   return bounce == 0u && !any16(on & (rays->ray.tmax == INF_F) & (rays->effect != EFFECT_DELTA_LIGHT));
 }
 
-// Light that vectors of paths wait for: their hits' last rays to lights, in flight when those of all vectors are known.
+// Light that vectors of paths wait for: their hits' last rays to lights, which are followed when those of all vectors are known.
 typedef struct {
   LightRay16 rays;
   Mask16 lit;          // the lanes that wait
@@ -287,21 +289,19 @@ static inline void arrive16(const LightRay16 *rays, const Mask16 arrive, Paths16
   add_where16(arrive, rays->value, direct);
 }
 
-// Asks the lights, number n of the samples, and follows the rays to them, but for the last where they are better off in flight.
+// Asks the lights, number n of the samples, and follows the rays to them, but for the last: these wait, unless they are alike and all
+// others fly.
 static inline void shine16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
                            const uint n, const bool last, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 smooth,
                            Paths16 *p, Waiting16 *waiting) {
   Mask16 use_mis = (params->options & OPTION_NO_MIS) ? (Mask16)(0) : (Mask16)(-1);
   if (bounce >= params->max_bounces) use_mis &= ~lights_alone16(params, bsdf);
   LightRay16 *rays = &waiting->rays;
-  rays->ray = p->ray;
-  rays->value = waiting->direct;
-  rays->effect = 0u;
   const Mask16 lit = direct_rays16(scene, params, samples, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, rays);
   if (!any16(lit)) return;
   p->result.rays += lit ? (uint16)(1u) : (uint16)(0u);
-  const bool together = together16(params, alike_to_lights16(rays, bounce, lit));
-  if (last && !together) waiting->lit = lit;
+  const bool packed = any_together16(params), together = packed || alike_to_lights16(rays, bounce, lit);
+  if (last && (packed || !together)) waiting->lit = lit;
   else arrive16(rays, lit & ~occluded16(scene, together, &rays->ray, lit), p, &waiting->direct);
 }
 
@@ -310,7 +310,7 @@ static inline void gather_light16(const __global Params *params, const Waiting16
   add_where16(w->smooth, mul16(w->beta, scale16(w->direct, share)), &p->result.radiance);
 }
 
-// Light from all samples of the lanes' hits, unless some of it waits.
+// Light from all samples of the lanes' hits: what is known of it waits for the rest.
 static inline void ask_lights16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
                                 const uint lights, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p,
                                 Waiting16 *waiting) {
@@ -320,7 +320,6 @@ static inline void ask_lights16(const SceneData *scene, const __global Params *p
   if (!any16(waiting->smooth)) return;
   for (uint n = 0u; n < lights; n++)
     shine16(scene, params, samples, bounce, n, n + 1u == lights, surface, bsdf, waiting->smooth, p, waiting);
-  if (!any16(waiting->lit)) gather_light16(params, waiting, p);
 }
 
 static inline Mask16 roulette16(const __global Params *params, const Sampler16 *samples, const uint bounce, const Mask16 on,
@@ -389,7 +388,7 @@ static inline Mask16 shade16(const SceneData *scene, const __global Params *para
                              const uint lights, const Mask16 on, Paths16 *p, Waiting16 *waiting) {
   Surface16 surface;
   Bsdf16 bsdf;
-  waiting->lit = 0;
+  waiting->lit = waiting->smooth = 0;
   if (!any16(on)) return on;
   const Mask16 shaded = look16(scene, params, bounce, &p->hit, on, p, &surface, &bsdf);
   if (!any16(shaded)) return shaded;

@@ -1,39 +1,49 @@
-// The light tree (lights/tree.cl) for sixteen receivers, each with the bits of the scalar functions: child by child, every lane at
-// its own node.
+// The light tree (lights/tree.cl) for sixteen receivers, each at its own node and with the bits of the scalar functions.
 #include "base/types16.h"
 #include "lights/tree.cl"
 
 #define CHILDREN 8u
-// Lanes from which on all walk together. Measured with 200 and 2,000 lamps: six take the same time either way, sixteen 0.39 of it.
-#define LEAST_WALKERS 6u
+// Lanes from which on all walk together. Measured with 200 lamps: sixteen take about a quarter of their time one by one, four the same.
+#define LEAST_WALKERS 4u
 
-// LightNode of each lane, field by field.
+// A child in each lane: the fields of LightNode.
 typedef struct {
-  float16 x[CHILDREN], y[CHILDREN], z[CHILDREN], radius[CHILDREN];
-  float16 axis_x[CHILDREN], axis_y[CHILDREN], axis_z[CHILDREN];
-  float16 cos_spread[CHILDREN], sin_spread[CHILDREN], cos_falloff[CHILDREN], strength[CHILDREN];
-  uint16 child[CHILDREN], count[CHILDREN];
-} LightNode16;
+  float16 x, y, z, radius, axis_x, axis_y, axis_z, cos_spread, sin_spread, cos_falloff, strength;
+} LightChild16;
 
-// Whether any lane's node has a child number c: nodes fill from the first one on, and those at the bottom are seldom full.
-static inline bool has_child16(const LightNode16 *nodes, const uint c, const Mask16 on) {
-  return any16(on & (nodes->count[c] != 0u));
+// Child number c of one node in all lanes.
+static inline LightChild16 one_child16(const __global LightNode *node, const uint c) {
+  LightChild16 out;
+  out.x = node->x[c];
+  out.y = node->y[c];
+  out.z = node->z[c];
+  out.radius = node->radius[c];
+  out.axis_x = node->axis_x[c];
+  out.axis_y = node->axis_y[c];
+  out.axis_z = node->axis_z[c];
+  out.cos_spread = node->cos_spread[c];
+  out.sin_spread = node->sin_spread[c];
+  out.cos_falloff = node->cos_falloff[c];
+  out.strength = node->strength[c];
+  return out;
 }
 
-// Fields of children that no lane's node has are left out, but for their counts.
-static inline void load_nodes16(const SceneData *scene, const uint16 word, const Mask16 on, LightNode16 *nodes) {
-  const __global float *from = (const __global float *)scene->light_nodes;
-  const uint16 row = on ? word * WORDS(LightNode) : (uint16)(0u);
-  const uint first = LANE_U(row, CTZ(mask16(on)));
-  float16 *out = nodes->x;
-  if (!any16(on & (row != first))) {
-    for (uint i = 0u; i < WORDS(LightNode); i++) out[i] = from[first + i];
-    return;
-  }
-  const uint counts = WORDS(LightNode) - CHILDREN;
-  for (uint i = counts; i < WORDS(LightNode); i += 4u) *(Rows16 *)(out + i) = gather_rows16(from + i, row, on);
-  const uint step = has_child16(nodes, 4u, on) ? 4u : CHILDREN;
-  for (uint i = 0u; i < counts; i += step) *(Rows16 *)(out + i) = gather_rows16(from + i, row, on);
+// Four children, from number `first` on, each of the nodes that begin at words row[0], row[4], row[8] and row[12], as they stand there:
+// only what comes of them is turned into lanes of nodes.
+static inline LightChild16 four_children16(const __global LightNode *nodes, const uint first, const uint *row) {
+  LightChild16 out;
+  out.x = four_rows(nodes->x + first, row);
+  out.y = four_rows(nodes->y + first, row);
+  out.z = four_rows(nodes->z + first, row);
+  out.radius = four_rows(nodes->radius + first, row);
+  out.axis_x = four_rows(nodes->axis_x + first, row);
+  out.axis_y = four_rows(nodes->axis_y + first, row);
+  out.axis_z = four_rows(nodes->axis_z + first, row);
+  out.cos_spread = four_rows(nodes->cos_spread + first, row);
+  out.sin_spread = four_rows(nodes->sin_spread + first, row);
+  out.cos_falloff = four_rows(nodes->cos_falloff + first, row);
+  out.strength = four_rows(nodes->strength + first, row);
+  return out;
 }
 
 static inline float16 sine_of16(const float16 cosine, const float16 square) { return safe_sqrt16(square - cosine * cosine); }
@@ -45,16 +55,15 @@ static inline float16 cosine_less16(const float16 cos_a, const float16 sin_a, co
   return sin_a * cos_b < cos_a * sin_b ? one : (cos_a * cos_b + sin_a * sin_b) * inverse;
 }
 
-// light_weights of each lane's child number c, before the root's are halved.
-static inline float16 light_weight16(const LightNode16 *node, const uint c, const Receiver16 *receiver) {
+// light_weights of the children, before the root's are halved. p, n: of their receivers.
+static inline float16 light_weight16(const LightChild16 *child, const Vec16 p, const Vec16 n) {
   const float16 zero = 0.0f, one = 1.0f, least_square = LEAST_SQUARE;
-  const float16 radius = node->radius[c], strength = node->strength[c];
-  const float16 cos_spread = node->cos_spread[c], sin_spread = node->sin_spread[c];
+  const float16 radius = child->radius, strength = child->strength;
+  const float16 cos_spread = child->cos_spread, sin_spread = child->sin_spread;
   const Mask16 far = radius < zero;
-  const float16 cx = node->x[c], cy = node->y[c], cz = node->z[c];
-  const float16 dx = far ? cx : cx - receiver->p.x;
-  const float16 dy = far ? cy : cy - receiver->p.y;
-  const float16 dz = far ? cz : cz - receiver->p.z;
+  const float16 dx = far ? child->x : child->x - p.x;
+  const float16 dy = far ? child->y : child->y - p.y;
+  const float16 dz = far ? child->z : child->z - p.z;
   const float16 d2 = dx * dx + dy * dy + dz * dz;
   const float16 r2 = radius * radius;
   const Mask16 inside = ~far & (d2 <= r2);
@@ -62,15 +71,14 @@ static inline float16 light_weight16(const LightNode16 *node, const uint c, cons
   const float16 inverse = one / MAX16(outer, least_square);
   const float16 sin_bounds = far ? sin_spread : radius;
   const float16 cos_bounds = far ? cos_spread : safe_sqrt16(d2 - r2);
-  const float16 cos_axis = -(node->axis_x[c] * dx + node->axis_y[c] * dy + node->axis_z[c] * dz);
+  const float16 cos_axis = -(child->axis_x * dx + child->axis_y * dy + child->axis_z * dz);
   const float16 sin_axis = sine_of16(cos_axis, d2);
   const float16 sin_off = sin_axis * cos_spread - cos_axis * sin_spread;
   const float16 cos_off = cos_axis * cos_spread + sin_axis * sin_spread;
   const float16 cos_emitted = cosine_less16(cos_off, sin_off, cos_bounds, sin_bounds, inverse);
   const float16 cos_least = (inside | (sin_off < zero)) ? one : cos_emitted;
-  Mask16 lit = (strength > zero) & (far | (cos_least >= node->cos_falloff[c]));
+  Mask16 lit = (strength > zero) & (far | (cos_least >= child->cos_falloff));
   float16 weight = far ? strength : strength * inverse * cos_least;
-  const Vec16 n = receiver->n;
   const Mask16 plane = (n.x != 0.0f) | (n.y != 0.0f) | (n.z != 0.0f);
   const float16 cos_normal = n.x * dx + n.y * dy + n.z * dz, least_cosine = LEAST_COSINE;
   const float16 cos_arriving = cosine_less16(cos_normal, sine_of16(cos_normal, d2), cos_bounds, sin_bounds, inverse);
@@ -81,45 +89,70 @@ static inline float16 light_weight16(const LightNode16 *node, const uint c, cons
   return lit ? MAX16(weight, least_weight) : zero;
 }
 
+static inline Vec16 four_points16(const Vec16 *v, const uint k) {
+  return vec16(four_of16(v->x, k), four_of16(v->y, k), four_of16(v->z, k));
+}
+
+// The weights of four children, from number `first` on, of each lane's node.
+static inline Rows16 light_weights16(const __global LightNode *nodes, const uint first, const uint16 row, const Receiver16 *receiver) {
+  float16 weights[4];
+  for (uint k = 0u; k < 4u; k++) {
+    const LightChild16 children = four_children16(nodes, first, (const uint *)&row + k);
+    weights[k] = light_weight16(&children, four_points16(&receiver->p, k), four_points16(&receiver->n, k));
+  }
+  return turn_rows16(weights[0], weights[1], weights[2], weights[3]);
+}
+
 // sum8 of each lane.
 static inline float16 sum_children16(const float16 *x) {
   return ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]));
 }
 
-// halved of each lane.
-static inline void halve16(const LightNode16 *node, float16 *weight) {
+// halved of each lane, all of which are at the root.
+static inline void halve16(const __global LightNode *root, float16 *weight) {
   const float16 zero = 0.0f, least_weight = LEAST_WEIGHT;
   float16 far[CHILDREN], near[CHILDREN];
   for (uint c = 0u; c < CHILDREN; c++) {
-    far[c] = node->radius[c] < zero ? weight[c] : zero;
-    near[c] = node->radius[c] < zero ? zero : weight[c];
+    far[c] = root->radius[c] < 0.0f ? weight[c] : zero;
+    near[c] = root->radius[c] < 0.0f ? zero : weight[c];
   }
   const float16 far_sum = sum_children16(far), near_sum = sum_children16(near);
   const Mask16 both = (far_sum > zero) & (near_sum > zero);
   if (!any16(both)) return;
   for (uint c = 0u; c < CHILDREN; c++) {
-    const float16 scaled = weight[c] * (node->radius[c] < zero ? 1.0f / far_sum : 1.0f / near_sum);
+    const float16 scaled = weight[c] * (root->radius[c] < 0.0f ? 1.0f / far_sum : 1.0f / near_sum);
     weight[c] = (both & (weight[c] > zero)) ? MAX16(scaled, least_weight) : weight[c];
   }
 }
 
-// light_shares of the lanes of `on`, each at its own node. All are at the root, or none.
-static inline void light_shares16(const LightNode16 *node, const Receiver16 *receiver, const int16 numbers, const bool root,
-                                  const Mask16 on, int16 *ends) {
+// light_shares of the lanes of `on`, each at its own node. All are at the root, or none. count: the children's, of each lane.
+static inline void light_shares16(const __global LightNode *nodes, const uint16 row, const Receiver16 *receiver, const int16 numbers,
+                                  const bool root, const Mask16 on, int16 *count, int16 *ends) {
   const float16 zero = 0.0f;
   float16 weights[CHILDREN];
-  for (uint c = 0u; c < CHILDREN; c++) weights[c] = has_child16(node, c, on) ? light_weight16(node, c, receiver) : zero;
-  if (root) halve16(node, weights);
+  for (uint c = 0u; c < CHILDREN; c += 4u) *(Rows16 *)(count + c) = gather_rows16(nodes->count + c, row, on);
+  for (uint c = 0u; c < CHILDREN; c++) weights[c] = zero;
+  // Nodes fill from the first child on, and those at the bottom are seldom full.
+  if (root) {
+    for (uint c = 0u; c < CHILDREN && nodes->count[c]; c++) {
+      const LightChild16 child = one_child16(nodes, c);
+      weights[c] = light_weight16(&child, receiver->p, receiver->n);
+    }
+    halve16(nodes, weights);
+  } else {
+    for (uint c = 0u; c < CHILDREN && any16(on & (count[c] != 0)); c += 4u)
+      *(Rows16 *)(weights + c) = light_weights16(nodes, c, row, receiver);
+  }
   const Mask16 dark = !(sum_children16(weights) > zero);
   int16 sum = 0;
   for (uint c = 0u; c < CHILDREN; c++) {
-    weights[c] = dark ? to_float16(as_int16(node->count[c])) : weights[c];
-    sum += weights[c] > zero ? as_int16(node->count[c]) : (int16)(0);
+    weights[c] = dark ? to_float16(count[c]) : weights[c];
+    sum += weights[c] > zero ? count[c] : (int16)(0);
   }
   const float16 free = to_float16(numbers - sum) * (1.0f - 0x1p-20f) / sum_children16(weights);
   sum = 0;
   for (uint c = 0u; c < CHILDREN; c++) {
-    sum += (weights[c] > zero ? as_int16(node->count[c]) : (int16)(0)) + to_int16(weights[c] * free);
+    sum += (weights[c] > zero ? count[c] : (int16)(0)) + to_int16(weights[c] * free);
     ends[c] = sum;
   }
   for (uint c = 0u; c < CHILDREN; c++) ends[c] = ends[c] == sum ? numbers : ends[c];
@@ -141,20 +174,21 @@ static inline void walk_start16(const int16 at, LightWalk16 *walk) {
 // A step of light_tree_choose or, where it `finds` a light, of light_tree_pmf, for the lanes of `on`.
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void walk_step16(const SceneData *scene, const Receiver16 *receiver, const bool finds,
                                                         const bool root, const Mask16 *on, LightWalk16 *walk) {
-  LightNode16 node;
-  int16 ends[CHILDREN];
-  load_nodes16(scene, walk->word, *on, &node);
-  light_shares16(&node, receiver, walk->numbers, root, *on, ends);
+  const uint16 row = *on ? walk->word * WORDS(LightNode) : (uint16)(0u);
+  int16 count[CHILDREN], ends[CHILDREN];
+  light_shares16(scene->light_nodes, row, receiver, walk->numbers, root, *on, count, ends);
   const int16 at = walk->at;
   int16 before = 0, start = 0;
+  uint16 child = 0u;
   for (uint c = 0u; c < CHILDREN; c++) {
     const Mask16 here = *on & (at >= start);
-    walk->word = here ? node.child[c] : walk->word;
+    child = here ? (uint16)(c) : child;
     walk->numbers = here ? ends[c] - before : walk->numbers;
     walk->at = here ? at - start : walk->at;
     before = ends[c];
-    start = finds ? start + as_int16(node.count[c]) : before;
+    start = finds ? start + count[c] : before;
   }
+  walk->word = *on ? gather_u16(scene->light_nodes->child, row + child, *on) : walk->word;
 }
 
 static inline void walk16(const SceneData *scene, const Receiver16 *receiver, const bool finds, const Mask16 on,
