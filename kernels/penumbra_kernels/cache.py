@@ -122,6 +122,11 @@ def has(key: str) -> bool:
     return _path(key).is_file()
 
 
+def is_empty() -> bool:
+    """Whether there is no program at all."""
+    return next((folder() / PROGRAMS).glob("*.bin"), None) is None
+
+
 def load(key: str) -> bytes | None:
     """The binary, or None where there is none or its checksum is wrong. Counts as a use."""
     path = _path(key)

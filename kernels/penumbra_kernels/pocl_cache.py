@@ -55,7 +55,13 @@ def take_scratch(root: Path) -> None:
         return
     _scratch = folder
     os.environ[VARIABLE] = str(folder / "kernels")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    atexit.register(leave_scratch)
+
+
+def leave_scratch() -> None:
+    """Remove this process's scratch folder: it is about to end."""
+    if _scratch is not None:
+        shutil.rmtree(_scratch, ignore_errors=True)
 
 
 def _sweep(root: Path) -> None:

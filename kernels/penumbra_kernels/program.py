@@ -93,17 +93,15 @@ def active_lines(source: str) -> int:
     """
     macros: dict[str, int] = {}
     blocks: list[tuple[bool, bool]] = []  # (this branch is in, some branch of the block was)
-    count = 0
-    for line in _COMMENT.sub("", source).splitlines():
-        condition = _CONDITION.match(line)
-        if condition:
+    count, active = 0, True
+    for line in map(str.strip, _COMMENT.sub("", source).splitlines()):
+        if not line.startswith("#"):
+            count += active and bool(line) and not line.startswith("//")
+        elif condition := _CONDITION.match(line):
             _enter(blocks, condition.group(1), condition.group(2), macros)
-        elif all(active for active, _ in blocks):
-            define = _DEFINE.match(line)
-            if define:
-                macros[define.group(1)] = _number(define.group(2) or "", macros)
-            text = line.split("//")[0].strip()
-            count += bool(text) and not text.startswith("#")
+            active = all(branch for branch, _ in blocks)
+        elif active and (define := _DEFINE.match(line)):
+            macros[define.group(1)] = _number(define.group(2) or "", macros)
     return count
 
 
@@ -134,11 +132,17 @@ def _number(text: str, macros: Mapping[str, int]) -> int:
 
 
 def _holds(condition: str, macros: Mapping[str, int]) -> bool:
-    words = re.sub(
-        r"defined\s*\(?\s*(\w+)\s*\)?", lambda m: str(int(m[1] in macros)), condition.split("//")[0]
-    )
-    words = re.sub(r"!(?!=)", " not ", words.replace("&&", " and ").replace("||", " or "))
-    return bool(_value(ast.parse(words.strip(), mode="eval").body, macros))
+    words = condition.split("//")[0]
+    if "defined" in words:
+        words = re.sub(r"defined\s*\(?\s*(\w+)\s*\)?", lambda m: str(int(m[1] in macros)), words)
+    return bool(_value(_parsed(words), macros))
+
+
+@cache
+def _parsed(condition: str) -> ast.expr:
+    """The same few conditions stand in every program."""
+    words = re.sub(r"!(?!=)", " not ", condition.replace("&&", " and ").replace("||", " or "))
+    return ast.parse(words.strip(), mode="eval").body
 
 
 def _value(node: ast.expr, macros: Mapping[str, int]) -> int:

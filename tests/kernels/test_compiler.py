@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-from penumbra_kernels.compiler import Built, Compiler, is_cached
+from penumbra_kernels.compiler import Built, Compiler, fork, is_cached
 from penumbra_kernels.device import Device
 from penumbra_kernels.features import analyse
+from penumbra_kernels.pocl_cache import VARIABLE
 from penumbra_scene.scene import Scene
 
 SCENE: dict[str, Any] = {
@@ -66,3 +72,51 @@ def test_the_compilers_words_and_its_death_are_answers(own: Path, device: Device
         assert json.dumps(again.problem) == "null"
     finally:
         compiler.close()
+
+
+FORKING = """
+import json, os, sys
+from penumbra_kernels.compiler import Compiler, fork
+forked = fork()
+assert forked is not None
+compiler = Compiler(sys.argv[1], forked)
+compiler.order(json.loads(sys.argv[2]))
+built = compiler.answer()
+assert built.built and built.problem is None, built
+forked.kill()
+compiler.order(json.loads(sys.argv[2]))
+assert compiler.answer().died
+compiler.order(json.loads(sys.argv[2]))
+again = compiler.answer()
+assert not again.built and not again.died, again
+compiler.close()
+last = fork()
+Compiler(sys.argv[1], last).order(json.loads(sys.argv[2]))
+print(last.pid)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_a_forked_compiler_builds_can_be_replaced_and_ends_with_its_parent(own: Path, device: Device) -> None:
+    words = [sys.executable, "-c", FORKING, device.info.id, json.dumps(FLAGS)]
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    assert is_cached(device, FLAGS)
+    end, child = time.monotonic() + 60.0, Path("/proc", done.stdout.strip())
+    while child.exists() and child.joinpath("stat").read_text().split()[2] != "Z":
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert not list((own / "scratch").glob("pocl-*")), "a forked process leaves its scratch folder"
+
+
+def test_a_process_with_threads_forks_no_compiler() -> None:
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait)
+    thread.start()
+    try:
+        assert fork() is None
+    finally:
+        done.set()
+        thread.join()

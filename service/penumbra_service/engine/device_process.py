@@ -256,10 +256,14 @@ def main(backend: Backend, arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
+    from penumbra_kernels.compiler import fork
+
+    compiler = fork()  # before more is loaded than a compiler needs
+
     from penumbra_service.engine import device_process, opencl
 
     # By its real name: exceptions of `__main__` would be others than those that the backend raises.
-    device_process.main(opencl.OpenCLBackend())
+    device_process.main(opencl.OpenCLBackend(compiler))
     # Nothing is left to do: not to wait for the interpreter and the driver to take themselves apart.
     sys.stdout.flush()
     os._exit(0)

@@ -10,6 +10,7 @@ from penumbra_kernels.accel.apart import TreeBuilder
 from penumbra_kernels.accel.trees import Trees
 from penumbra_kernels.assets import AssetError, Assets, NoAssets
 from penumbra_kernels.compile.scene import compile_scene
+from penumbra_kernels.compiler import Fork
 from penumbra_kernels.device import BuildError, Device, DeviceError, DeviceInfo, devices
 from penumbra_kernels.features import analyse
 from penumbra_scene.scene import Scene
@@ -39,7 +40,9 @@ def describe(info: DeviceInfo) -> DeviceDescription:
 class OpenCLBackend:
     """One opened device, and a process beside it that compiles."""
 
-    def __init__(self) -> None:
+    def __init__(self, compiler: Fork | None = None) -> None:
+        """compiler: a process for it that was forked before any driver was loaded."""
+        self._compiler = compiler
         self._device: Device | None = None
         self._programs: Programs | None = None
         self._prepared: dict[str, Prepared] = {}
@@ -54,7 +57,7 @@ class OpenCLBackend:
             self._device = Device(device_id)
         except DeviceError as error:
             raise DeviceRefusedError(str(error)) from error
-        self._programs = Programs(self._device)
+        self._programs = Programs(self._device, self._compiler)
         return describe(self._device.info)
 
     def load(self, spec: RenderSpec) -> LoadedOnDevice | None:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Final
 
 from penumbra_kernels.choice import PLAIN_SHARE, Choice, Program, choose, is_short, seconds_to_come
-from penumbra_kernels.compiler import Built, Compiler
+from penumbra_kernels.compiler import Built, Compiler, Fork
 from penumbra_kernels.device import Device
 from penumbra_kernels.features import Features
 from penumbra_kernels.history import History
@@ -57,9 +57,10 @@ class Beginning:
 class Programs:
     """Of one opened device."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, forked: Fork | None = None) -> None:
+        """forked: a compiler's process."""
         self._device = device
-        self._compiler = Compiler(device.info.id)
+        self._compiler = Compiler(device.info.id, forked)
         self._history = History(device.info)
         self._orders: deque[Order] = deque()
         """Not answered yet, the oldest first."""
@@ -74,8 +75,8 @@ class Programs:
 
     def order(self, flags: Flags) -> Order:
         """Have a program built."""
+        self._compiler.order(flags)  # first: counting lines takes a while
         order = Order(_lines(self.text(flags)), self._build_seconds(flags), not flags["PENUMBRA_TOGETHER"])
-        self._compiler.order(flags)
         self._orders.append(order)
         return order
 
@@ -111,12 +112,13 @@ class Programs:
         own, generic = self.text(features.flags()), self.text(features.generic_flags())
         if own == generic or self.cached(own):
             return Choice("specialised", build_own=False)
+        if not self.cached(generic):  # it has more lines, so that the scene's own is there before it
+            return Choice("specialised", build_own=False)
         self.poll()
         past = self._history.read()
         to_come = seconds_to_come(planned_seconds(scene, past.rate), done, past.spent_for(source_hash(own)))
         share = 1.0 / self._device.info.compute_units if self._device.info.kind == "cpu" else 0.0
-        waits = self._wait(features.flags()), self._wait(features.generic_flags())
-        return choose(*waits, to_come, past.gain, share)
+        return choose(self._wait(features.flags()), 0.0, to_come, past.gain, share)
 
     def spend(self, features: Features, seconds: float) -> None:
         """The generic program has rendered for a scene whose own program is not built."""

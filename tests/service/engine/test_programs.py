@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from penumbra_kernels.assets import NoAssets
 from penumbra_kernels.compile.scene import compile_scene
-from penumbra_kernels.compiler import Built
+from penumbra_kernels.compiler import Built, Fork
 from penumbra_kernels.device import Device, devices
 from penumbra_kernels.features import analyse
 from penumbra_kernels.history import History
@@ -155,7 +155,7 @@ def test_lines_of_the_lanes_count_where_they_are_in(bench: Bench) -> None:
 class FakeCompiler:
     """Answers when it is told to."""
 
-    def __init__(self, device_id: str) -> None:
+    def __init__(self, device_id: str, forked: Fork | None = None) -> None:
         self.orders: list[dict[str, int]] = []
         self.ready: list[Built] = []
 
