@@ -1,7 +1,7 @@
 // The tracer's one kernel: for a tile, every replicate and an aligned power-of-two range of sample indices, the sum node.
 //
 // Reads: params, the scene's buffers. Writes: sums (and layers), one entry per (replicate, pixel of the tile), replicate
-// slowest, then rows. Runs: one work-item per `items_per_group` consecutive entries from first_item on; the host splits a
+// slowest, then rows. Runs: one work-item per `items_per_group` entries (entry_of) from first_item on; the host splits a
 // node into launches by it, which changes nothing in the result. Who is next: the host merges nodes (nodes.py).
 //
 // This file alone decides which effects a program has, by 0/1 macros; every argument stands in tracer.py's table in the same
@@ -12,20 +12,6 @@
 #if PENUMBRA_LANES
 #include "integrators/items16.cl"
 #endif
-
-// Which (replicate, pixel) entry the work-item of number i takes. CPUs go row by row; on GPUs the 32 threads that run in step take
-// 8 x 4 pixels of one replicate, whose rays stay together longer. Who takes what changes nothing in the result.
-static inline uint entry_of(const __global Params *params, const uint i) {
-#if PENUMBRA_DEVICE_GPU
-  const uint width = params->tile_width, height = params->tile_height;
-  if ((width & 7u) == 0u && (height & 3u) == 0u) {
-    const uint block = i >> 5, columns = width >> 3;
-    const uint x = block % columns * 8u + (i & 7u), row = block / columns * 4u + ((i >> 3) & 3u);
-    return row * width + x;  // rows of all replicates count on: the height is a multiple of 4
-  }
-#endif
-  return i;
-}
 
 __kernel void trace(const __global Params *params, const __global float *filter_table,
 #if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION
@@ -173,8 +159,8 @@ __kernel void trace(const __global Params *params, const __global float *filter_
   for (uint i = first; i < end;) i += trace_items16(&launch, i, end, item_layers, item_drawn, sums);
 #else
   for (uint i = first; i < end; i++) {
-    const uint item = entry_of(params, i);
-    trace_item(&launch, item, item_layers + item, item_drawn + item * DRAWN_COUNT, sums + item);
+    const uint entry = entry_of(params, i);
+    trace_item(&launch, entry, item_layers + entry, item_drawn + entry * DRAWN_COUNT, sums + entry);
   }
 #endif
 }

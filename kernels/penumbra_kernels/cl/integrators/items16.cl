@@ -1,5 +1,5 @@
-// Items in batches of paths: an item's next samples, or, where a node has fewer of it, those of consecutive items together. Each lane
-// gives the bits that item.cl gives its sample.
+// Items in batches of paths: an item's next samples, or, where a node has fewer of it, those of consecutive items together, which are
+// replicates of one pixel first. Each lane gives the bits that item.cl gives its sample.
 #include "integrators/item.cl"
 #include "integrators/batch16.cl"
 #include "camera/camera16.cl"
@@ -144,7 +144,7 @@ static inline uint fill_batch(const Launch *launch, const uint first, const uint
   uint n = 0u;
   *count = 0u;
   for (; n < MAX_ITEMS && first + n < end && *count < room; n++) {
-    items[n] = item_at(launch, first + n);
+    items[n] = item_at(launch, entry_of(launch->params, first + n));
     const uint own = items[n].share.count;
     if (n && *count + own > room) break;
     samplers[n] = items[n].sampler;
@@ -202,10 +202,10 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE uint trace_items16(const Launch *launch, 
     count = MIN(count, items->share.count - done);
   }
   for (uint j = 0u; j < n; j++) {
-    const uint item = first + j;
-    gather_write(gathers + j, items[j].share.count, layers + item, sums + item);
+    const uint entry = entry_of(launch->params, first + j);
+    gather_write(gathers + j, items[j].share.count, layers + entry, sums + entry);
 #if PENUMBRA_COUNT_DRAWS
-    for (uint k = 0u; k < DRAWN_COUNT; k++) drawn[item * DRAWN_COUNT + k] = counted[j][k];
+    for (uint k = 0u; k < DRAWN_COUNT; k++) drawn[entry * DRAWN_COUNT + k] = counted[j][k];
 #endif
   }
   return n;

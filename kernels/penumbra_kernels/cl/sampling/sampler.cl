@@ -40,7 +40,7 @@
 static inline Sampler sampler_start(const __global Params *params, const uint x, const uint y, const uint replicate) {
   Sampler s;
   s.key = pixel_key(params->seed, x, y, replicate);
-  s.frame_key = hash_combine(mix64(params->seed ^ FRAME_SALT), replicate);
+  s.frame_key = 0ul;
   s.index = 0ul;
   s.reversed = 0u;
   s.strata = params->strata;
@@ -57,6 +57,7 @@ static inline Sampler sampler_start(const __global Params *params, const uint x,
   s.rank = replicate;
 #endif
 #if PENUMBRA_SAMPLER == SAMPLER_BLUE_NOISE
+  s.frame_key = hash_combine(mix64(params->seed ^ FRAME_SALT), replicate);
   s.passes = params->log2_samples;
   s.digits = bits_of(MAX(params->film_width, params->film_height));
   s.rank = z_curve(x, y);
