@@ -24,15 +24,15 @@ static inline Point16 lane_pixels(const Item *items, const uchar *of, const uint
 static inline Ray16 start_rays16(const Launch *launch, const Point16 at, const Sampler16 *samples, const Mask16 on, float16 *weight) {
   const __global Params *params = launch->params;
   const Point16 u = sample_2d16(samples, DIM_PIXEL, on);
-  float16 offset_x, offset_y;
-  filter_sample16(launch->filter_table, params->filter_radius, u.x, u.y, on, &offset_x, &offset_y, weight);
-  const float16 film_x = (at.x + 0.5f + offset_x) / (float)params->film_width;
-  const float16 film_y = (at.y + 0.5f + offset_y) / (float)params->film_height;
   Point16 lens;
   lens.x = lens.y = 0.5f;
 #if PENUMBRA_LENS
   lens = sample_2d16(samples, DIM_LENS, on);
 #endif
+  float16 offset_x, offset_y;
+  filter_sample16(launch->filter_table, params->filter_radius, u.x, u.y, on, &offset_x, &offset_y, weight);
+  const float16 film_x = (at.x + 0.5f + offset_x) / (float)params->film_width;
+  const float16 film_y = (at.y + 0.5f + offset_y) / (float)params->film_height;
 #if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION
   const float16 time = camera_time16(&params->camera, launch->shutter_table, sample_1d16(samples, DIM_TIME, on), on);
 #else

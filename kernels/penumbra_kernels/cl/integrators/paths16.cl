@@ -178,6 +178,30 @@ typedef struct {
   uint16 effect;
 } LightRay16;
 
+// Where the numbers of a bounce come from. Those that nearly every hit takes are drawn before it is known what was hit: what waits for
+// memory hides how long they take. Only where all lanes draw at once, which leaves bits alone.
+typedef struct {
+  const Sampler16 *samples;
+  bool lights, scatter;  // whether the numbers below are there
+  float16 choice;        // of the light
+  Point16 light, direction;
+} Numbers16;
+
+static inline void draw_ahead16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+                                const Mask16 on, Numbers16 *numbers) {
+  numbers->samples = samples;
+  numbers->lights = numbers->scatter = false;
+#if PENUMBRA_ROWS && (PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT)
+  numbers->lights = bounce <= params->max_bounces && params->shadow_rays == 1u && !(params->options & OPTION_ALL_LIGHTS);
+  if (numbers->lights && light_entries(scene) > 1u) numbers->choice = sample_1d16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), on);
+  if (numbers->lights) numbers->light = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT), on);
+#endif
+#if PENUMBRA_ROWS && PENUMBRA_INDIRECT
+  numbers->scatter = bounce < params->max_bounces;
+  if (numbers->scatter) numbers->direction = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_DIRECTION), on);
+#endif
+}
+
 // Numbers for a sample of each lane's light: only of those that ask for them.
 typedef struct {
   Point16 u;
@@ -190,14 +214,16 @@ typedef struct {
   uint j, count;
 } LightDimensions;
 
-static inline LightNumbers16 light_numbers16(const Sampler16 *samples, const Lights16 *lights, const LightDimensions *dims,
+static inline LightNumbers16 light_numbers16(const Numbers16 *numbers, const Lights16 *lights, const LightDimensions *dims,
                                              const Mask16 on) {
-  LightNumbers16 numbers;
-  numbers.u.x = numbers.u.y = numbers.triangle = 0.0f;
+  const Sampler16 *samples = numbers->samples;
+  LightNumbers16 out;
+  out.u.x = out.u.y = out.triangle = 0.0f;
   const Mask16 extent = on & lights_have_extent16(lights, on), triangles = on & lights_have_triangles16(lights, on);
-  if (any16(extent)) numbers.u = sample_2d_of16(samples, dims->point, dims->j, dims->count, extent);
-  if (any16(triangles)) numbers.triangle = sample_1d_of16(samples, dims->triangle, dims->j, dims->count, triangles);
-  return numbers;
+  if (numbers->lights) out.u = numbers->light;
+  else if (any16(extent)) out.u = sample_2d_of16(samples, dims->point, dims->j, dims->count, extent);
+  if (any16(triangles)) out.triangle = sample_1d_of16(samples, dims->triangle, dims->j, dims->count, triangles);
+  return out;
 }
 
 // light_ray of the lanes of `on`: those to which something may come.
@@ -229,15 +255,17 @@ static inline Mask16 light_rays16(const SceneData *scene, const Surface16 *surfa
 }
 
 // The light that each lane asks, and the probability of choosing it.
-static inline uint16 choose_lights16(const SceneData *scene, const Sampler16 *samples, const Receiver16 *receiver,
+static inline uint16 choose_lights16(const SceneData *scene, const Numbers16 *numbers, const Receiver16 *receiver,
                                      const uint bounce, const uint n, const uint picks, const Mask16 on, float16 *pmf) {
   float16 u = 0.0f;
-  if (light_entries(scene) > 1u) u = sample_1d_of16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks, on);
+  if (light_entries(scene) > 1u) {
+    u = numbers->lights ? numbers->choice : sample_1d_of16(numbers->samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks, on);
+  }
   return light_choose16(scene, receiver, u, on, pmf);
 }
 
 // direct_ray: the lanes to which something may come.
-static inline Mask16 direct_rays16(const SceneData *scene, const __global Params *params, const Sampler16 *samples,
+static inline Mask16 direct_rays16(const SceneData *scene, const __global Params *params, const Numbers16 *numbers,
                                    const Surface16 *surface, const Bsdf16 *bsdf, const Receiver16 *receiver, const uint bounce,
                                    const uint n, const float16 time, const Mask16 use_mis, const Mask16 on, LightRay16 *out) {
   const uint picks = params->shadow_rays;
@@ -250,11 +278,11 @@ static inline Mask16 direct_rays16(const SceneData *scene, const __global Params
   dims.count = picks;
   float16 pmf = 1.0f;
   uint16 light = each;
-  if (!all) light = choose_lights16(scene, samples, receiver, bounce, n, picks, on, &pmf);
+  if (!all) light = choose_lights16(scene, numbers, receiver, bounce, n, picks, on, &pmf);
   const Mask16 asks = on & (pmf > 0.0f);
   if (!any16(asks)) return asks;
   const Lights16 lights = lights16(scene, light, asks);
-  const LightNumbers16 u = light_numbers16(samples, &lights, &dims, asks);
+  const LightNumbers16 u = light_numbers16(numbers, &lights, &dims, asks);
   const Mask16 come = light_rays16(scene, surface, bsdf, receiver, &lights, time, &u, (float)picks * pmf, use_mis, asks, out);
   out->value = scale16(out->value, 1.0f / pmf);
   return come;
@@ -291,13 +319,13 @@ static inline void arrive16(const LightRay16 *rays, const Mask16 arrive, Paths16
 
 // Asks the lights, number n of the samples, and follows the rays to them, but for the last: these wait, unless they are alike and all
 // others fly.
-static inline void shine16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+static inline void shine16(const SceneData *scene, const __global Params *params, const Numbers16 *numbers, const uint bounce,
                            const uint n, const bool last, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 smooth,
                            Paths16 *p, Waiting16 *waiting) {
   Mask16 use_mis = (params->options & OPTION_NO_MIS) ? (Mask16)(0) : (Mask16)(-1);
   if (bounce >= params->max_bounces) use_mis &= ~lights_alone16(params, bsdf);
   LightRay16 *rays = &waiting->rays;
-  const Mask16 lit = direct_rays16(scene, params, samples, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, rays);
+  const Mask16 lit = direct_rays16(scene, params, numbers, surface, bsdf, &p->from, bounce, n, p->ray.time, use_mis, smooth, rays);
   if (!any16(lit)) return;
   p->result.rays += lit ? (uint16)(1u) : (uint16)(0u);
   const bool packed = any_together16(params), together = packed || alike_to_lights16(rays, bounce, lit);
@@ -311,7 +339,7 @@ static inline void gather_light16(const __global Params *params, const Waiting16
 }
 
 // Light from all samples of the lanes' hits: what is known of it waits for the rest.
-static inline void ask_lights16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+static inline void ask_lights16(const SceneData *scene, const __global Params *params, const Numbers16 *numbers, const uint bounce,
                                 const uint lights, const Surface16 *surface, const Bsdf16 *bsdf, const Mask16 on, Paths16 *p,
                                 Waiting16 *waiting) {
   waiting->smooth = on & bsdf_has_smooth16(bsdf);
@@ -319,7 +347,7 @@ static inline void ask_lights16(const SceneData *scene, const __global Params *p
   waiting->beta = p->beta;
   if (!any16(waiting->smooth)) return;
   for (uint n = 0u; n < lights; n++)
-    shine16(scene, params, samples, bounce, n, n + 1u == lights, surface, bsdf, waiting->smooth, p, waiting);
+    shine16(scene, params, numbers, bounce, n, n + 1u == lights, surface, bsdf, waiting->smooth, p, waiting);
 }
 
 static inline Mask16 roulette16(const __global Params *params, const Sampler16 *samples, const uint bounce, const Mask16 on,
@@ -334,7 +362,7 @@ static inline Mask16 roulette16(const __global Params *params, const Sampler16 *
 }
 
 // path_scatter: the lanes that go on.
-static inline Mask16 scatter16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+static inline Mask16 scatter16(const SceneData *scene, const __global Params *params, const Numbers16 *numbers, const uint bounce,
                                const Surface16 *surface, const Bsdf16 *bsdf, Mask16 on, Paths16 *p) {
 #if PENUMBRA_INDIRECT
   const bool last = bounce >= params->max_bounces;
@@ -344,12 +372,14 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
   if (!any16(on)) return on;
   float16 u_lobe = 0.0f;
   const Mask16 lobes = on & bsdf_has_lobes16(bsdf);
-  if (any16(lobes)) u_lobe = lobes ? sample_1d16(samples, DIM_BOUNCE(bounce, SLOT_LOBE), lobes) : u_lobe;
+  if (any16(lobes)) u_lobe = lobes ? sample_1d16(numbers->samples, DIM_BOUNCE(bounce, SLOT_LOBE), lobes) : u_lobe;
   Point16 u;
   u.x = u.y = 0.5f;
   const Mask16 spread = on & bsdf_has_spread16(bsdf);
   if (any16(spread)) {
-    const Point16 drawn = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_DIRECTION), spread);
+    Point16 drawn;
+    if (numbers->scatter) drawn = numbers->direction;
+    else drawn = sample_2d16(numbers->samples, DIM_BOUNCE(bounce, SLOT_DIRECTION), spread);
     u.x = spread ? drawn.x : u.x;
     u.y = spread ? drawn.y : u.y;
   }
@@ -369,7 +399,7 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
   p->result.radiance = where16(dark & (throughput != throughput), p->beta, p->result.radiance);
   on &= ~dark;
   if (!any16(on)) return on;
-  on = roulette16(params, samples, bounce, on, &p->beta);
+  on = roulette16(params, numbers->samples, bounce, on, &p->beta);
   p->ray = spawn_ray16(surface, wi, p->ray.time);
   return on;
 #else
@@ -390,8 +420,10 @@ static inline Mask16 shade16(const SceneData *scene, const __global Params *para
   Bsdf16 bsdf;
   waiting->lit = waiting->smooth = 0;
   if (!any16(on)) return on;
+  Numbers16 numbers;
+  draw_ahead16(scene, params, samples, bounce, on, &numbers);
   const Mask16 shaded = look16(scene, params, bounce, &p->hit, on, p, &surface, &bsdf);
   if (!any16(shaded)) return shaded;
-  ask_lights16(scene, params, samples, bounce, lights, &surface, &bsdf, shaded, p, waiting);
-  return scatter16(scene, params, samples, bounce, &surface, &bsdf, shaded, p);
+  ask_lights16(scene, params, &numbers, bounce, lights, &surface, &bsdf, shaded, p, waiting);
+  return scatter16(scene, params, &numbers, bounce, &surface, &bsdf, shaded, p);
 }

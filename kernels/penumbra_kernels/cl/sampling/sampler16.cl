@@ -135,6 +135,25 @@ static inline bool elements16(const Sampler16 *s, const uint j, const uint m, ui
 }
 #endif
 
+// Number j of m of the samples of the lanes of `bits`, one after the other.
+static PENUMBRA_NOINLINE void draw_each_1d(const Sampler16 *s, const ulong dim, const uint j, const uint m, uint bits, float16 *out) {
+  for (; bits; bits &= bits - 1u) {
+    const uint k = CTZ(bits);
+    const Sampler one = lane_sampler(s, k);
+    LANE_F(*out, k) = sample_1d_of(&one, dim, j, m);
+  }
+}
+
+static PENUMBRA_NOINLINE void draw_each_2d(const Sampler16 *s, const ulong dim, const uint j, const uint m, uint bits, Point16 *out) {
+  for (; bits; bits &= bits - 1u) {
+    const uint k = CTZ(bits);
+    const Sampler one = lane_sampler(s, k);
+    const float2 u = sample_2d_of(&one, dim, j, m);
+    LANE_F(out->x, k) = u.x;
+    LANE_F(out->y, k) = u.y;
+  }
+}
+
 // Number j of m that each sample draws.
 static inline float16 sample_1d_of16(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 on) {
   float16 out = 0.0f;
@@ -145,10 +164,7 @@ static inline float16 sample_1d_of16(const Sampler16 *s, const ulong dim, const 
     return out;
   }
 #endif
-  for (LANES_OF(k, on)) {
-    const Sampler one = lane_sampler(s, k);
-    LANE_F(out, k) = sample_1d_of(&one, dim, j, m);
-  }
+  draw_each_1d(s, dim, j, m, mask16(on), &out);
   return out;
 }
 
@@ -162,12 +178,7 @@ static inline Point16 sample_2d_of16(const Sampler16 *s, const ulong dim, const 
     return out;
   }
 #endif
-  for (LANES_OF(k, on)) {
-    const Sampler one = lane_sampler(s, k);
-    const float2 u = sample_2d_of(&one, dim, j, m);
-    LANE_F(out.x, k) = u.x;
-    LANE_F(out.y, k) = u.y;
-  }
+  draw_each_2d(s, dim, j, m, mask16(on), &out);
   return out;
 }
 
