@@ -77,7 +77,7 @@ static inline void hit_round16(const SceneData *scene, const uint word, const Ra
   const float16 t = is_disc ? disc_distance16(scene->discs + index, r->o, r->d, &a, &b)
                             : sphere_distance16(scene->spheres + index, r->o, r->d);
   const uint kind = is_disc ? PRIMITIVE_DISC : PRIMITIVE_SPHERE;
-  offer16(on, t, a, b, (kind << KEY_KIND_SHIFT) | index, NONE, r->instance, h);
+  offer16(on & (t < INF_F), t, a, b, (kind << KEY_KIND_SHIFT) | index, NONE, r->instance, h);
 }
 
 // hit_planes of each ray. Moving planes stand elsewhere for each.

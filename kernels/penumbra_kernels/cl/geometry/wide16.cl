@@ -112,14 +112,21 @@ static inline void nothing_yet16(const float16 end, Best16 *h) {
   h->found = 0;
 }
 
-// Where `on`, a hit at t counts if it is nearer than the best, or as near and before it in the order.
+// Where `on`, a hit at t counts if it is nearer than the best, or as near and before it in the order. Ties are rare: a branch that a
+// processor guesses right spares the next hit the wait for what it asks.
 static inline void offer16(const Mask16 on, const float16 t, const float16 u, const float16 v, const uint key, const uint lane,
                            const uint instance, Best16 *h) {
-  Mask16 first = h->key > key;
+  const float16 never = as_float16((uint16)(0x7fc00000u));
+  const float16 at = (on & (t > 0.0f)) ? t : never;
+  Mask16 wins = at < h->t;
+  const Mask16 tie = at == h->t;
+  if (any16(tie)) {
+    Mask16 first = h->key > key;
 #if PENUMBRA_INSTANCING
-  first |= (h->key == key) & (h->instance > instance);
+    first |= (h->key == key) & (h->instance > instance);
 #endif
-  const Mask16 wins = on & (t > 0.0f) & ((t < h->t) | ((t == h->t) & first));
+    wins |= tie & first;
+  }
   h->t = wins ? t : h->t;
   h->u = wins ? u : h->u;
   h->v = wins ? v : h->v;
