@@ -51,7 +51,7 @@ class Built:
 
 def is_cached(device: Device, flags: Flags) -> bool:
     """Whether trace.cl with these flags is in the cache for this device."""
-    return device.has_binary(assemble("trace.cl", {**flags, **device.flags}))
+    return device.has_binary(assemble("trace.cl", device.macros(flags)))
 
 
 class Process(Protocol):

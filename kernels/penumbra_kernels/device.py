@@ -18,7 +18,7 @@ import numpy as np
 from penumbra_kernels import cache, pocl_cache
 from penumbra_kernels.aligned import aligned
 from penumbra_kernels.pocl_target import UNKNOWN, name_target
-from penumbra_kernels.program import BUILD_OPTIONS, assemble
+from penumbra_kernels.program import BUILD_OPTIONS, assemble, settle
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -159,6 +159,10 @@ class Device:
             "PENUMBRA_X86": int(builtins and machine().lower() in ("x86_64", "amd64")),
         }
 
+    def macros(self, flags: Mapping[str, int]) -> dict[str, int]:
+        """Of trace.cl with these flags, which may hold some of the device's kind too, to build another kind's variant."""
+        return settle({**self.flags, **flags})
+
     def build(
         self,
         entry: str,
@@ -169,13 +173,14 @@ class Device:
     ) -> cl.Program:
         """Assemble and build a program, from the cache where it is there. Raises BuildError with the log.
 
-        flags: may hold flags of the device's kind too, to build another kind's variant.
+        flags: as for `macros`.
         first_launch: launches the kernels without doing anything. Drivers that compile at a kernel's first launch do it
         then, before the binary is taken, so that it holds the final code.
         """
         import pyopencl as cl
 
-        source = assemble(entry, {**self.flags, **flags}, text)
+        macros = self.macros(flags) if text is None else {**self.flags, **flags}
+        source = assemble(entry, macros, text)
         key = self.cache_key(source)
         known = self._from_cache(key)
         if known is not None:

@@ -11,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from penumbra_kernels.layout import CONSTANTS
+
 CL_ROOT: Final = Path(__file__).parent / "cl"
 
 _IF: Final = re.compile(r"^\s*#\s*if")
@@ -19,6 +21,19 @@ _INCLUDE: Final = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 
 BUILD_OPTIONS: Final = ("-cl-std=CL1.2",)
 """The same for every program. No fast-math of any kind: error bounds and equal bits depend on IEEE arithmetic."""
+
+
+LANES_ALONE: Final = ("PENUMBRA_TOGETHER", "PENUMBRA_LARGE_TREES")
+"""Flags that say something to lanes of sixteen paths alone (trace.cl, PENUMBRA_LANES)."""
+
+
+def settle(flags: Mapping[str, int]) -> dict[str, int]:
+    """The flags of a program, those that nothing in it reads being 0: programs of the same code then are the same program."""
+    apart = ("PENUMBRA_DEVICE_GPU", "PENUMBRA_COMPACT_TREE")
+    lanes = flags.get("PENUMBRA_TOGETHER") and not any(flags.get(name) for name in apart)
+    if lanes and flags.get("PENUMBRA_SAMPLER") != CONSTANTS["SAMPLER_RANDOM"]:
+        return dict(flags)
+    return {name: 0 if name in LANES_ALONE else value for name, value in flags.items()}
 
 
 def flatten(text: str, name: str, unconditional: set[str], depth: int = 0) -> str:

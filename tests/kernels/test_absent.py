@@ -10,13 +10,15 @@ import pytest
 from penumbra_kernels.accel.binary import SWEEP_LIMIT
 from penumbra_kernels.assets import Image, MeshData, NoAssets
 from penumbra_kernels.compile.scene import CompiledScene, compile_scene
+from penumbra_kernels.compiler import is_cached
 from penumbra_kernels.device import Device
 from penumbra_kernels.dimensions import numbers_drawn
 from penumbra_kernels.features import EFFECTS, Features, analyse
+from penumbra_kernels.layout import CONSTANTS
 from penumbra_kernels.nodes import Tile
-from penumbra_kernels.program import assemble
+from penumbra_kernels.program import assemble, settle
 from penumbra_kernels.sensitivity import GROUPS, bit_of, groups_of
-from penumbra_kernels.tracer import ARGUMENTS, SamplePlan, Tracer
+from penumbra_kernels.tracer import ARGUMENTS, SamplePlan, Tracer, build_program
 from penumbra_scene.assets import AssetRef
 from penumbra_scene.scene import Scene
 
@@ -283,3 +285,43 @@ def test_groups_that_are_out_change_no_bit_when_drawn_anew(device: Device) -> No
     first = bits(0)
     assert bits(sum(bit_of(group) for group in GROUPS if group != "pixel")) == first
     assert bits(bit_of("pixel")) != first
+
+
+ONLY_LANES = {"PENUMBRA_TOGETHER": 1, "PENUMBRA_LARGE_TREES": 1}
+
+
+def code(flags: dict[str, int]) -> str:
+    """What a compiler sees, without what the flags themselves are defined as."""
+    return re.sub(
+        r"^#define PENUMBRA_(TOGETHER|LARGE_TREES)\b.*\n",
+        "",
+        preprocessed(assemble("trace.cl", flags)),
+        flags=re.M,
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "reads"),
+    [
+        ({}, True),
+        ({"PENUMBRA_DEVICE_GPU": 1}, False),
+        ({"PENUMBRA_COMPACT_TREE": 1}, False),
+        ({"PENUMBRA_SAMPLER": CONSTANTS["SAMPLER_RANDOM"]}, False),
+        ({"PENUMBRA_TOGETHER": 0}, False),
+    ],
+)
+def test_flags_that_only_lanes_read_make_one_program_without_lanes(kind: dict[str, int], reads: bool) -> None:
+    flags = flags_of("round", "indirect") | ONLY_LANES | kind
+    small = flags | {"PENUMBRA_LARGE_TREES": 0}
+    assert (settle(flags) == flags) is reads
+    assert (settle(flags) == settle(small)) is not reads
+    assert (code(flags) == code(small)) is not reads
+    assert code(settle(flags)) == code(flags)
+
+
+def test_a_device_without_lanes_builds_one_program_for_trees_of_all_sizes(device: Device) -> None:
+    compact = Device(device.info.id, tree="compact")
+    flags = analyse(Scene.model_validate({"version": 1, "camera": {"type": "perspective"}})).flags()
+    build_program(compact, flags | {"PENUMBRA_LARGE_TREES": 1})
+    assert is_cached(compact, flags | {"PENUMBRA_LARGE_TREES": 0})
+    assert is_cached(compact, flags | {"PENUMBRA_TOGETHER": 0})

@@ -67,7 +67,7 @@ class Programs:
 
     def text(self, flags: Flags) -> str:
         """A program's whole text on this device."""
-        return _text(tuple(sorted({**flags, **self._device.flags}.items())))
+        return _text(tuple(sorted(self._device.macros(flags).items())))
 
     def cached(self, text: str) -> bool:
         """Whether a program is in the cache."""
