@@ -53,7 +53,7 @@ COMPARED: Final = (64, 48)
 SPLIT: Final = (48, 36)
 FORETOLD: Final = (96, 72)
 UPKEEP: Final = ((96, 72), (192, 144))
-PARTS: Final = ("compare", "adaptive", "splitting", "forecasts")
+PARTS: Final = ("compare", "adaptive", "splitting", "upkeep", "forecasts")
 
 
 def main() -> int:
@@ -79,7 +79,10 @@ def main() -> int:
             numbers["forecasts"] = [asdict(f) for f in _forecasts(engine)]
             _write(numbers)
     if "splitting" in parts:
-        numbers |= _splitting()
+        numbers["splitting"] = _splitting()
+        _write(numbers)
+    if "upkeep" in parts:
+        numbers["upkeep"] = _upkeep()
     _write(numbers)
     print(f"{PAGE.relative_to(ROOT)} in {time.monotonic() - began:.0f} s", file=sys.stderr)
     return 0
@@ -138,8 +141,14 @@ def _splitting() -> dict[str, Any]:
     for name in SCENES:
         _say(f"splitting: {name}")
         found[name] = asdict(measure(device, _scene(name, SPLIT), assets))
-    kept = {f"{w} x {h}": asdict(upkeep(device, _scene("cornell", (w, h)), assets)) for w, h in UPKEEP}
-    return {"splitting": found, "upkeep": kept}
+    return found
+
+
+def _upkeep() -> dict[str, Any]:
+    device = Device(devices()[0].id)
+    assets = FolderAssets(assets_folder(), EXAMPLES)
+    _say("upkeep")
+    return {f"{w} x {h}": asdict(upkeep(device, _scene("cornell", (w, h)), assets)) for w, h in UPKEEP}
 
 
 # ---- the page
@@ -157,7 +166,7 @@ def page(numbers: dict[str, Any]) -> Iterator[str]:
         yield from _adaptive_page(numbers["adaptive"])
     if "compare" in numbers:
         yield from _samplers(numbers["compare"])
-    if "splitting" in numbers:
+    if "splitting" in numbers and "upkeep" in numbers:
         yield from _split_page(numbers["splitting"], numbers["upkeep"])
     if "forecasts" in numbers:
         yield from _forecast_page(numbers["forecasts"])

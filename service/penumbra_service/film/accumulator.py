@@ -165,19 +165,27 @@ class FoldedSums(Mapping[str, NDArray[Any]]):
 
     def planes(self) -> NDArray[np.float64]:
         """(channels, replicates, height, width), to be written over. One plane after the other: numpy reads rows of four, one
-        at a time, several times as slowly."""
+        at a time, several times as slowly. The counts that a look asks for are compared while a node is in the cache."""
         planes = self._empty((4, *self.shape))
-        for channel, plane in enumerate(planes):
-            plane[...] = self._parts[0]["rgba"][..., channel] if self._parts else 0.0
-            for part in self._parts[1:]:
-                plane += part["rgba"][..., channel]
+        counts: dict[str, list[int | None]] = {"taken": [], "rejected": []}
+        if not self._parts:
+            planes[...] = 0.0
+        for number, part in enumerate(self._parts):
+            for channel, plane in enumerate(planes):
+                if number == 0:
+                    plane[...] = part["rgba"][..., channel]
+                else:
+                    plane += part["rgba"][..., channel]
+            for name, of_nodes in counts.items():
+                of_nodes.append(_common(part[name]))
+        for name, of_nodes in counts.items():
+            self._common[name] = _total(of_nodes)
         return planes
 
     def common(self, name: str) -> int | None:
         """The count that every pixel has in every replicate, None where they differ in a node: known without adding any up."""
         if name not in self._common:
-            of_nodes = [_common(part[name]) for part in self._parts]
-            self._common[name] = None if None in of_nodes else sum(filter(None, of_nodes))
+            self._common[name] = _total([_common(part[name]) for part in self._parts])
         return self._common[name]
 
     def total(self, name: str) -> int:
@@ -200,6 +208,10 @@ class FoldedSums(Mapping[str, NDArray[Any]]):
 def _common(counts: NDArray[Any]) -> int | None:
     most = counts.max()
     return int(most) if most == 0 or counts.min() == most else None
+
+
+def _total(counts: list[int | None]) -> int | None:
+    return None if None in counts else sum(filter(None, counts))
 
 
 def _layers_of(parts: list[SumNode]) -> NDArray[Any] | None:

@@ -33,18 +33,43 @@ the example with all effects, whose light is met through glass by chance; 28 to 
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums over the pixels of each block of a tile, as float64 rows x columns."""
+    """Sums over the pixels of each block of a tile, rows x columns."""
 
-    pixels: NDArray[np.float64]
-    """Pixels whose variance is known; the sums below are over these alone."""
-    variance: NDArray[np.float64]
-    """Of V over pixels and R G B, divided by 3."""
-    square: NDArray[np.float64]
-    """Of m^2, likewise."""
-    mean: NDArray[np.float64]
-    """Of m, for R G B apart: rows x columns x 3."""
-    squared_variance: NDArray[np.float64]
-    """Of the square of what `variance` sums."""
+    table: NDArray[np.float64]
+    """(7, rows, columns): the planes below, those of `mean` one after the other."""
+
+    @property
+    def pixels(self) -> NDArray[np.float64]:
+        """Pixels whose variance is known; the sums below are over these alone."""
+        pixels: NDArray[np.float64] = self.table[0]
+        return pixels
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """Of V over pixels and R G B, divided by 3."""
+        variance: NDArray[np.float64] = self.table[1]
+        return variance
+
+    @property
+    def square(self) -> NDArray[np.float64]:
+        """Of m^2, likewise."""
+        square: NDArray[np.float64] = self.table[2]
+        return square
+
+    @property
+    def squared_variance(self) -> NDArray[np.float64]:
+        """Of the square of what `variance` sums."""
+        squared: NDArray[np.float64] = self.table[3]
+        return squared
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Of m, for R G B apart: rows x columns x 3."""
+        return self.table[4:].transpose(1, 2, 0)
+
+
+_DIVISORS: Final = np.array([3.0, 3.0, 9.0, 1.0, 1.0, 1.0])[:, None, None]
+"""Of the planes of BlockSums from the second on: R G B are averaged."""
 
 
 @dataclass(frozen=True)
@@ -82,21 +107,21 @@ def block_sums(
     """Pool a tile's pixels (height, width, 3 or more) over blocks of this side. Blocks are aligned to the full frame, so
     that they do not depend on the tiles."""
     rgb, v = mean[..., :3].transpose(2, 0, 1), variance[..., :3].transpose(2, 0, 1)
-    planes = empty((3, *v.shape[1:]))
+    planes = empty((6, *v.shape[1:]))
     v.sum(axis=0, out=planes[0])
     np.einsum("chw,chw->hw", rgb, rgb, out=planes[1])
     np.square(planes[0], out=planes[2])
-    of_variance, of_mean = _pool_planes(planes, tile, block), _pool_planes(rgb, tile, block)
-    count = block_sizes(tile, block).astype(np.float64)
-    if not math.isfinite(of_variance[0].sum()):
+    planes[3:] = rgb
+    count: NDArray[Any] = block_sizes(tile, block)
+    pooled = _pool_planes(planes, tile, block)
+    if not math.isfinite(pooled[0].sum()):
         known = np.isfinite(v[0])
         planes[:, ~known] = 0.0
-        of_variance = _pool_planes(planes, tile, block)
-        of_mean = _pool_planes(np.where(known, rgb, 0.0), tile, block)
-        count = pool(known, tile, block)
-    return BlockSums(
-        count, of_variance[0] / 3, of_variance[1] / 3, of_mean.transpose(1, 2, 0), of_variance[2] / 9
-    )
+        pooled, count = _pool_planes(planes, tile, block), pool(known, tile, block)
+    table = np.empty((7, *count.shape))
+    table[0] = count
+    np.divide(pooled, _DIVISORS, out=table[1:])
+    return BlockSums(table)
 
 
 def pool(values: NDArray[Any], tile: Tile, block: int) -> NDArray[np.float64]:
@@ -166,21 +191,18 @@ def normal_quantile(confidence: float) -> float:
 def image_error(summaries: list[TileSummary]) -> ImageError:
     """Of a window, from its tiles. The sum is exactly rounded (math.fsum), so neither their order nor their
     size counts."""
-    pixels = np.concatenate([s.blocks.pixels.ravel() for s in summaries])
-    variance = np.concatenate([s.blocks.variance.ravel() for s in summaries])
-    square = np.concatenate([s.blocks.square.ravel() for s in summaries])
-    mean = np.concatenate([s.blocks.mean.reshape(-1, 3) for s in summaries])
-    squared = np.concatenate([s.blocks.squared_variance.ravel() for s in summaries])
-    has = pixels > 0
-    count, variance, square, mean, squared = (a[has] for a in (pixels, variance, square, mean, squared))
+    table = np.concatenate([s.blocks.table.reshape(7, -1) for s in summaries], axis=1)
+    if not table[0].all():
+        table = table[:, table[0] > 0]
+    count, variance, square, squared = table[:4]
     total = float(count.sum())
     if total == 0:
         return ImageError(math.nan, math.nan, math.nan, math.nan, 0)
-    least = np.square(mean / count[:, None]).mean(axis=1)
+    least = np.square(table[4:] / count).mean(axis=0)
     signal = np.maximum((square - variance) / count, least) + EPSILON
     quotient = (variance / count) / signal
-    relmse = math.fsum(count * quotient) / total
-    mse = math.fsum(variance) / total
+    relmse = _sum(count * quotient) / total
+    mse = _sum(variance) / total
     maximum = max(s.maximum for s in summaries)
     return ImageError(
         relmse,
@@ -193,15 +215,20 @@ def image_error(summaries: list[TileSummary]) -> ImageError:
     )
 
 
+def _sum(values: NDArray[Any]) -> float:
+    """Exactly rounded, whatever the order."""
+    return math.fsum(values.tolist())
+
+
 def _floor(parts: NDArray[Any], signal: NDArray[Any]) -> float:
-    total = math.fsum(parts)
-    return math.fsum(parts * (EPSILON / signal)) / total if total > 0 else 0.0
+    total = _sum(parts)
+    return _sum(parts * (EPSILON / signal)) / total if total > 0 else 0.0
 
 
 def _carriers(parts: NDArray[Any], squared: NDArray[Any]) -> float:
     """Of each block's sums of pixels' parts in the error, and of their squares."""
-    of_squares = math.fsum(squared)
-    return math.fsum(parts) ** 2 / of_squares if of_squares > 0 else math.nan
+    of_squares = _sum(squared)
+    return _sum(parts) ** 2 / of_squares if of_squares > 0 else math.nan
 
 
 def _deviation(weights: NDArray[Any], quotient: NDArray[Any], mean: float) -> float:
@@ -212,7 +239,7 @@ def _deviation(weights: NDArray[Any], quotient: NDArray[Any], mean: float) -> fl
         return 0.0
     if n < 2:
         return 1.0
-    return math.sqrt(n / (n - 1) * math.fsum((weights * (quotient - mean)) ** 2)) / mean
+    return math.sqrt(n / (n - 1) * _sum((weights * (quotient - mean)) ** 2)) / mean
 
 
 def _psnr(mse: float, maximum: float) -> float:

@@ -87,9 +87,8 @@ def block_lengths(first: int, count: int, block: int) -> NDArray[np.intp]:
 
 
 def block_sizes(tile: Tile, block: int) -> NDArray[np.intp]:
-    """Pixels of each block of a tile, rows x columns."""
-    rows, columns = block_lengths(tile.y, tile.height, block), block_lengths(tile.x, tile.width, block)
-    return np.asarray(np.multiply.outer(rows, columns))
+    """Pixels of each block of a tile, rows x columns. Not to be written to."""
+    return _sizes(tile.y % block, tile.height, tile.x % block, tile.width, block)
 
 
 @lru_cache(maxsize=1024)
@@ -101,3 +100,9 @@ def _starts(beyond: int, count: int, block: int) -> NDArray[np.intp]:
 @lru_cache(maxsize=1024)
 def _lengths(beyond: int, count: int, block: int) -> NDArray[np.intp]:
     return np.diff(_starts(beyond, count, block), append=count)
+
+
+@lru_cache(maxsize=1024)
+def _sizes(above: int, height: int, before: int, width: int, block: int) -> NDArray[np.intp]:
+    rows, columns = _lengths(above, height, block), _lengths(before, width, block)
+    return np.asarray(np.multiply.outer(rows, columns))

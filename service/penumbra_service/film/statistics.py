@@ -128,7 +128,7 @@ def pixel_statistics(
         deviations -= of_them[:, None]
     if given.missing is not None:
         deviations[:, given.missing] = 0.0
-    mean /= given.scale
+    mean *= 1 / given.scale
     overflowed = None if finite else _cap(mean)
     if overflowed is not None:
         deviations[:, :, overflowed] = 0.0
@@ -157,8 +157,8 @@ class _Replicates:
 
 def _replicates_of(folded: FoldedSums, empty: Empty) -> _Replicates:
     """Where all pixels have as many samples in every replicate, their sums are means times that number: nothing is divided."""
-    common = folded.common("taken")
     values = folded.planes()
+    common = folded.common("taken")
     counts: int | NDArray[np.int64] = len(values[0])
     missing = None
     if not common:
@@ -185,7 +185,7 @@ def _divide(squares: NDArray[Any], given: _Replicates, deterministic: bool) -> N
     """Makes variances of sums of squares (channels, height, width), in place."""
     counts = given.counts
     if isinstance(counts, int) and counts >= 2 and not deterministic:
-        squares /= float(counts * (counts - 1) * given.scale**2)
+        squares *= 1 / (counts * (counts - 1) * given.scale**2)
         return
     counts = np.asarray(counts)
     known = (counts >= 2) & (not deterministic)
