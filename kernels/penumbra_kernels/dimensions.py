@@ -15,7 +15,6 @@ DRAWN: Final = (
     "pixel",
     "lens",
     "time",
-    "light choice",
     "point on the light",
     "lobe",
     "direction",
@@ -31,10 +30,9 @@ CAMERA: Final[tuple[tuple[str, int, tuple[str, ...]], ...]] = (
 )
 """(dimension, numbers, effects of which any draws it; none: always), once for a camera path (cl/base/dimensions.h)."""
 HIT: Final[tuple[tuple[str, int, tuple[str, ...]], ...]] = (
-    ("light choice", 1, ("many_lights",)),
-    ("point on the light", 2, ("area_lights", "environment")),
+    ("point on the light", 2, ("many_lights", "area_lights", "environment")),
     ("triangle of the light", 1, ("area_lights",)),
-    ("lobe", 1, ("gloss", "transmission")),
+    ("lobe", 1, ("transmission",)),
     ("direction", 2, ("indirect",)),
     ("roulette", 1, ("indirect",)),
 )

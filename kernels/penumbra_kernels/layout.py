@@ -336,7 +336,7 @@ ALIAS: Final = np.dtype(
         ),  # keep this entry where the number, remapped to [0, 1) in the entry, is below
         ("other", np.uint32),
         ("pmf", np.float32),
-        ("pad0", np.float32),
+        ("first", np.float32),  # of the entry's numbers, remapped so, the least: 0 but for rounding
     ]
 )
 
@@ -420,8 +420,8 @@ CONSTANTS: Final[dict[str, int]] = {
     "GROUP_TIME": 4,
     "GROUP_LIGHTS": 8,
     "GROUP_DIRECTIONS": 16,
-    "DRAWN_BOUNCE": 3,  # of the counters of numbers drawn, the first of a hit's slots (dimensions.py)
-    "DRAWN_COUNT": 9,
+    "DRAWN_BOUNCE": 2,  # of the counters of numbers drawn, that of a hit's slot 0, which is free (dimensions.py)
+    "DRAWN_COUNT": 8,
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

@@ -122,19 +122,18 @@ __kernel void draws(__global float2 *out, const __global Params *params, const _
   const uint i = get_global_id(0);
   Sampler s = sampler_start(params, 3, 5, 1);
   sampler_next(&s, i);
-  for (uint k = 0; k < 10; k++) {
-    out[20 * i + 2 * k] = sample_2d(&s, dims[k]);
-    out[20 * i + 2 * k + 1] = (float2)(sample_1d(&s, dims[k]), sample_1d_of(&s, dims[k], 1, 2));
+  for (uint k = 0; k < 9; k++) {
+    out[18 * i + 2 * k] = sample_2d(&s, dims[k]);
+    out[18 * i + 2 * k + 1] = (float2)(sample_1d(&s, dims[k]), sample_1d_of(&s, dims[k], 1, 2));
   }
 }
 """
 BOUNCE = [(bounce + 1) * 16 for bounce in range(2)]
-DIMENSIONS = [0, 1, 2, *(BOUNCE[0] + slot for slot in range(6)), (BOUNCE[1] + 1) | (3 << 32)]
+DIMENSIONS = [0, 1, 2, *(BOUNCE[0] + slot for slot in range(1, 6)), (BOUNCE[1] + 1) | (3 << 32)]
 GROUP_OF = [
     "pixel",
     "lens",
     "time",
-    "lights",
     "lights",
     "directions",
     "directions",

@@ -55,8 +55,8 @@
 #define GROUP_TIME 4u
 #define GROUP_LIGHTS 8u
 #define GROUP_DIRECTIONS 16u
-#define DRAWN_BOUNCE 3u
-#define DRAWN_COUNT 9u
+#define DRAWN_BOUNCE 2u
+#define DRAWN_COUNT 8u
 #define SAMPLER_REGULAR 0u
 #define SAMPLER_RANDOM 1u
 #define SAMPLER_INDEPENDENT 2u
@@ -328,6 +328,6 @@ typedef struct {
   float threshold;
   uint other;
   float pmf;
-  float pad0;
+  float first;
 } Alias;
 // sizeof(Alias) == 16

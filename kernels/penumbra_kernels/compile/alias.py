@@ -78,6 +78,7 @@ def alias_table(weights: NDArray[np.float64]) -> NDArray[Any]:
     starts = -(-np.arange(count + 1, dtype=np.int64) * STEPS // count)
     kept, other = _pair(steps.tolist(), np.diff(starts).tolist())
     first_lost = (starts[:-1] + kept) * count - np.arange(count, dtype=np.int64) * STEPS
+    table["first"] = (starts[:-1] * count - np.arange(count, dtype=np.int64) * STEPS) / STEPS
     table["threshold"] = np.minimum(first_lost, STEPS) / STEPS
     table["other"] = other
     table["pmf"] = steps / STEPS

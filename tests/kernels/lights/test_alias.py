@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.stats
 from penumbra_kernels.compile.alias import MAX_ENTRIES, STEPS, alias_table, quantised_cdf, quantised_pmf
 from penumbra_kernels.hardcases.lights import many_powers
 
@@ -77,3 +78,35 @@ def test_choice_frequencies_follow_the_powers(bench) -> None:
     light, _, _ = bench.choose(scene, bench.uniform(1_000_000, 3, 1)[:, 0])
     counts = np.bincount(light, minlength=5)
     assert bench.chi2_pvalue(counts, powers / powers.sum() * 1_000_000) > 1e-6
+
+
+@pytest.mark.parametrize("digits", [0.0, 0.75])
+@pytest.mark.parametrize("weights", [1.01 ** np.arange(300), many_powers()], ids=["300", "ten thousand"])
+def test_the_numbers_of_a_light_are_left_as_points_all_over_it(
+    bench, weights: np.ndarray, digits: float
+) -> None:
+    """Neighbouring numbers that choose a light become places on it from 0 to 1, a step apart, however few they are; the steps
+    are filled up by the second number's digits."""
+    table = alias_table(weights)
+    scene = bench.scene([bench.light("point")] * len(table), light_table=table)
+    chosen = choose_on_host(table, np.arange(STEPS))
+    for light in np.unique(chosen[:: STEPS // 6]):
+        own = np.flatnonzero(chosen == light)
+        point = np.stack([own * 2.0**-24, np.full(len(own), digits * 2.0**-12)], axis=-1)
+        again, left = bench.choose_points(scene, point)
+        assert np.all(again == light)
+        assert np.array_equal(left[:, 1], point[:, 1].astype(np.float32))
+        begins = np.flatnonzero((np.diff(own) > 1) | (np.diff(left[:, 0]) < 0)) + 1
+        for piece in np.split(left[:, 0], begins):
+            assert np.allclose(piece, (np.arange(len(piece)) + digits) / len(piece), rtol=0, atol=2e-6)
+
+
+def test_points_of_a_net_that_choose_a_light_are_a_net_on_it(bench) -> None:
+    """Of 256 points of the Sobol sequence a light of chance 1/4 gets 64, one in each cell of 8 x 8."""
+    table = alias_table(np.array([1.0, 3.0]))
+    scene = bench.scene([bench.light("point")] * 2, light_table=table)
+    net = np.floor(scipy.stats.qmc.Sobol(2, seed=5).random(256) * 2.0**24) * 2.0**-24
+    light, left = bench.choose_points(scene, net)
+    cells = np.floor(left[light == 0] * 8).astype(int)
+    assert len(cells) == 64
+    assert len(np.unique(cells, axis=0)) == 64

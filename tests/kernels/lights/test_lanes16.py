@@ -96,24 +96,28 @@ __kernel void hit16(__global float *out, const __global float *p, const __global
   }
 }
 
-__kernel void choose16(__global float *out, const __global float *u, const __global float *p, const __global float *n,
-                       const __global uint *asked, const __global uint *lanes, ARGUMENTS) {
-  BEGIN(4u);
+__kernel void choose16(__global float *out, const __global float *u, const __global float *u2, const __global float *p,
+                       const __global float *n, const __global uint *asked, const __global uint *lanes, ARGUMENTS) {
+  BEGIN(6u);
   Receiver16 receiver;
   receiver.p = load3_16(p + 3u * first);
   receiver.n = load3_16(n + 3u * first);
+  Point16 point;
+  point.x = load16(u + first);
+  point.y = load16(u2 + first);
   float16 pmf;
-  const uint16 light = light_choose16(&scene, &receiver, load16(u + first), on, &pmf);
+  const uint16 light = light_choose16(&scene, &receiver, on, &point, &pmf);
   const float16 again = light_pmf16(&scene, &receiver, light, on);
   const float16 other = light_pmf16(&scene, &receiver, *(const __global uint16 *)(asked + first), on);
   for (LANES_OF(k, on)) {
     const Receiver lit = lane_receiver(&receiver, k);
+    float2 rest = (float2)(u[first + k], u2[first + k]);
     float chance;
-    const uint one = light_choose(&scene, &lit, u[first + k], &chance);
-    put3(rows + 8u * k, (float3)((float)LANE_U(light, k), LANE_F(pmf, k), LANE_F(again, k)));
-    rows[8u * k + 3u] = LANE_F(other, k);
-    put3(rows + 8u * k + 4u, (float3)((float)one, chance, light_pmf(&scene, &lit, one)));
-    rows[8u * k + 7u] = light_pmf(&scene, &lit, asked[first + k]);
+    const uint one = light_choose(&scene, &lit, &rest, &chance);
+    put3(rows + 12u * k, (float3)((float)LANE_U(light, k), LANE_F(pmf, k), LANE_F(again, k)));
+    put3(rows + 12u * k + 3u, (float3)(LANE_F(other, k), LANE_F(point.x, k), LANE_F(point.y, k)));
+    put3(rows + 12u * k + 6u, (float3)((float)one, chance, light_pmf(&scene, &lit, one)));
+    put3(rows + 12u * k + 9u, (float3)(light_pmf(&scene, &lit, asked[first + k]), rest.x, rest.y));
   }
 }
 
@@ -205,10 +209,12 @@ def agree(bench, scene, p, seed, index=0, size=1.0):
 
 
 def choose_alike(bench, scene, p, seed):
-    """(light, pmf, pmf again, pmf of any light) for receivers at p, of lanes that are on."""
+    """(light, pmf, pmf again, pmf of any light, what is left of the point) for receivers at p, of lanes that are on."""
     normals = np.where(uniform(seed)[:, None] < 0.2, np.float32(0.0), directions(seed + 1))
     asked = np.random.default_rng(seed + 2).integers(0, len(scene.lights), COUNT).astype(np.uint32)
-    lanes, scalars = bench.both("choose16", scene, 4, [uniform(seed + 3), p, normals, asked], seed + 4)
+    lanes, scalars = bench.both(
+        "choose16", scene, 6, [uniform(seed + 3), uniform(seed + 5), p, normals, asked], seed + 4
+    )
     assert np.array_equal(lanes, scalars)
     chosen = scalars.view(np.float32)
     assert np.array_equal(chosen[:, 1], chosen[:, 2])

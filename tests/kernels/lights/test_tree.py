@@ -153,6 +153,22 @@ def test_choices_follow_their_probabilities_among_thousands(bench: Any) -> None:
         assert bench.chi2_pvalue(np.bincount(light, minlength=3000), pmf * len(u)) > 1e-6
 
 
+def test_the_numbers_of_a_light_are_left_as_points_all_over_it(bench: Any) -> None:
+    """They are neighbours: the places left of them go from 0 to 1 in even steps, filled up by the second number's digits."""
+    geometry, lights = compiled({"lights": lamp_field(3000)})
+    scene = device_scene(bench, geometry, lights)
+    numbers = np.arange(1_000_000, 1_400_000)
+    light, left = bench.choose_points(
+        scene, np.stack([numbers * 2.0**-24, np.full(len(numbers), 0.75 * 2.0**-12)], axis=-1), [3, 3, 1]
+    )
+    pieces = np.split(left[:, 0], np.flatnonzero(np.diff(light)) + 1)[
+        1:-1
+    ]  # the first and the last are cut off
+    assert len(pieces) > 100
+    for piece in pieces:
+        assert np.allclose(piece, (np.arange(len(piece)) + 0.75) / len(piece), rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_no_light_that_lights_a_point_is_left_out(bench: Any, name: str) -> None:
     """Whatever a light sends to a receiver's front, at any time, the tree may choose it."""

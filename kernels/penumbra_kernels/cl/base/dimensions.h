@@ -6,10 +6,10 @@
 #define DIM_LENS 1ul   // point on the aperture, 2-D
 #define DIM_TIME 2ul   // instant within the shutter interval, 1-D
 
-#define SLOT_LIGHT_SELECT 0ul  // which light, 1-D
-#define SLOT_LIGHT 1ul         // point or direction on the light, 2-D
-#define SLOT_LOBE 2ul          // which lobe of the material, 1-D
-#define SLOT_DIRECTION 3ul     // direction in that lobe, 2-D
+// A hit's slots; 0 is free.
+#define SLOT_LIGHT 1ul         // which light, and point or direction on it, 2-D
+#define SLOT_LOBE 2ul          // whether an interface reflects, 1-D
+#define SLOT_DIRECTION 3ul     // which lobe of the material, and direction in it, 2-D
 #define SLOT_ROULETTE 4ul      // whether the path goes on, 1-D
 #define SLOT_LIGHT_TRIANGLE 5ul  // which triangle of a mesh light, 1-D
 
@@ -25,5 +25,5 @@ static inline uint drawn_of(const ulong dim) { return dim < 16ul ? (uint)dim : D
 static inline uint group_of(const ulong dim) {
   if (dim < 16ul) return dim == DIM_PIXEL ? GROUP_PIXEL : (dim == DIM_LENS ? GROUP_LENS : GROUP_TIME);
   const ulong slot = dim & 15ul;
-  return slot == SLOT_LIGHT_SELECT || slot == SLOT_LIGHT || slot == SLOT_LIGHT_TRIANGLE ? GROUP_LIGHTS : GROUP_DIRECTIONS;
+  return slot == SLOT_LIGHT || slot == SLOT_LIGHT_TRIANGLE ? GROUP_LIGHTS : GROUP_DIRECTIONS;
 }

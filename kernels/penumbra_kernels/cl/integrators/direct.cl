@@ -1,5 +1,5 @@
 // Direct light at a surface point by next-event estimation: shadow rays to points on the lights.
-// Reads the scene; draws SLOT_LIGHT_SELECT, SLOT_LIGHT, SLOT_LIGHT_TRIANGLE of the bounce's dimensions.
+// Reads the scene; draws SLOT_LIGHT and SLOT_LIGHT_TRIANGLE of the bounce's dimensions.
 #include "geometry/intersect.cl"
 #include "geometry/surface.cl"
 #include "lights/lights.cl"
@@ -62,14 +62,12 @@ static inline bool direct_ray(const SceneData *scene, const __global Params *par
                          : 0.0f;
     return light_ray(scene, surface, bsdf, receiver, light, time, ut, u, (float)picks, use_mis, out);
   }
-  const float us =
-      light_entries(scene) > 1u ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks) : 0.0f;
+  // One point chooses the light, and what is left of it the place there.
+  const bool asks = light_entries(scene) > 1u || light_has_extent(scene, 0u);
+  float2 u = asks ? sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), n, picks) : (float2)(0.0f);
   float pmf;
-  const uint light = light_choose(scene, receiver, us, &pmf);
+  const uint light = light_choose(scene, receiver, &u, &pmf);
   if (!(pmf > 0.0f)) return false;
-  const float2 u = light_has_extent(scene, light)
-                       ? sample_2d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT), n, picks)
-                       : (float2)(0.0f);
   const float ut = light_has_triangles(scene, light)
                        ? sample_1d_of(sampler, DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE), n, picks)
                        : 0.0f;

@@ -183,7 +183,6 @@ typedef struct {
 typedef struct {
   const Sampler16 *samples;
   bool lights, scatter;  // whether the numbers below are there
-  float16 choice;        // of the light
   Point16 light, direction;
 } Numbers16;
 
@@ -193,7 +192,6 @@ static inline void draw_ahead16(const SceneData *scene, const __global Params *p
   numbers->lights = numbers->scatter = false;
 #if PENUMBRA_ROWS && (PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT)
   numbers->lights = bounce <= params->max_bounces && params->shadow_rays == 1u && !(params->options & OPTION_ALL_LIGHTS);
-  if (numbers->lights && light_entries(scene) > 1u) numbers->choice = sample_1d16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), on);
   if (numbers->lights) numbers->light = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT), on);
 #endif
 #if PENUMBRA_ROWS && PENUMBRA_INDIRECT
@@ -214,16 +212,19 @@ typedef struct {
   uint j, count;
 } LightDimensions;
 
-static inline LightNumbers16 light_numbers16(const Numbers16 *numbers, const Lights16 *lights, const LightDimensions *dims,
-                                             const Mask16 on) {
-  const Sampler16 *samples = numbers->samples;
-  LightNumbers16 out;
-  out.u.x = out.u.y = out.triangle = 0.0f;
-  const Mask16 extent = on & lights_have_extent16(lights, on), triangles = on & lights_have_triangles16(lights, on);
-  if (numbers->lights) out.u = numbers->light;
-  else if (any16(extent)) out.u = sample_2d_of16(samples, dims->point, dims->j, dims->count, extent);
-  if (any16(triangles)) out.triangle = sample_1d_of16(samples, dims->triangle, dims->j, dims->count, triangles);
-  return out;
+// Number j of the points that lanes choose lights by, and places on them.
+static inline Point16 light_point16(const Numbers16 *numbers, const LightDimensions *dims, const Mask16 on) {
+  if (numbers->lights) return numbers->light;
+  Point16 none;
+  none.x = none.y = 0.0f;
+  return any16(on) ? sample_2d_of16(numbers->samples, dims->point, dims->j, dims->count, on) : none;
+}
+
+static inline float16 light_triangle16(const Numbers16 *numbers, const Lights16 *lights, const LightDimensions *dims,
+                                       const Mask16 on) {
+  const Mask16 triangles = on & lights_have_triangles16(lights, on);
+  const float16 none = 0.0f;
+  return any16(triangles) ? sample_1d_of16(numbers->samples, dims->triangle, dims->j, dims->count, triangles) : none;
 }
 
 // light_ray of the lanes of `on`: those to which something may come.
@@ -254,16 +255,6 @@ static inline Mask16 light_rays16(const SceneData *scene, const Surface16 *surfa
   return come;
 }
 
-// The light that each lane asks, and the probability of choosing it.
-static inline uint16 choose_lights16(const SceneData *scene, const Numbers16 *numbers, const Receiver16 *receiver,
-                                     const uint bounce, const uint n, const uint picks, const Mask16 on, float16 *pmf) {
-  float16 u = 0.0f;
-  if (light_entries(scene) > 1u) {
-    u = numbers->lights ? numbers->choice : sample_1d_of16(numbers->samples, DIM_BOUNCE(bounce, SLOT_LIGHT_SELECT), n, picks, on);
-  }
-  return light_choose16(scene, receiver, u, on, pmf);
-}
-
 // direct_ray: the lanes to which something may come.
 static inline Mask16 direct_rays16(const SceneData *scene, const __global Params *params, const Numbers16 *numbers,
                                    const Surface16 *surface, const Bsdf16 *bsdf, const Receiver16 *receiver, const uint bounce,
@@ -276,13 +267,16 @@ static inline Mask16 direct_rays16(const SceneData *scene, const __global Params
   dims.triangle = all ? DIM_LIGHT(bounce, SLOT_LIGHT_TRIANGLE, each) : DIM_BOUNCE(bounce, SLOT_LIGHT_TRIANGLE);
   dims.j = all ? n - each * picks : n;
   dims.count = picks;
+  const bool chooses = !all && light_entries(scene) > 1u;
+  LightNumbers16 u;
+  u.u = light_point16(numbers, &dims, chooses || light_has_extent(scene, each) ? on : (Mask16)(0));
   float16 pmf = 1.0f;
   uint16 light = each;
-  if (!all) light = choose_lights16(scene, numbers, receiver, bounce, n, picks, on, &pmf);
+  if (!all) light = light_choose16(scene, receiver, on, &u.u, &pmf);
   const Mask16 asks = on & (pmf > 0.0f);
   if (!any16(asks)) return asks;
   const Lights16 lights = lights16(scene, light, asks);
-  const LightNumbers16 u = light_numbers16(numbers, &lights, &dims, asks);
+  u.triangle = light_triangle16(numbers, &lights, &dims, asks);
   const Mask16 come = light_rays16(scene, surface, bsdf, receiver, &lights, time, &u, (float)picks * pmf, use_mis, asks, out);
   out->value = scale16(out->value, 1.0f / pmf);
   return come;

@@ -10,6 +10,7 @@
 // tree's order (Light.leaf), since each child holds consecutive places.
 #include "base/lanes.cl"
 #include "lights/receiver.h"
+#include "lights/rest.h"
 
 #if PENUMBRA_BUILTINS
 static inline float8 sqrt8(const float8 x) {
@@ -133,9 +134,9 @@ static inline uint light_lane(const int8 ends[1], const int number, int *first, 
   return lane;
 }
 
-// A light by the uniform number u in [0, 1), and the probability of choosing it.
-static inline uint light_tree_choose(const SceneData *scene, const Receiver *receiver, const float u, float *pmf) {
-  int number = (int)(u * NUMBERS), numbers = (int)NUMBERS;
+// A light by u.x of a point u of [0, 1)^2, and the probability of choosing it; u becomes a point for a sample of that light.
+static inline uint light_tree_choose(const SceneData *scene, const Receiver *receiver, float2 *u, float *pmf) {
+  int number = (int)(u->x * NUMBERS), numbers = (int)NUMBERS;
   uint word = 0u;
   do {
     int8 ends[1];
@@ -144,6 +145,7 @@ static inline uint light_tree_choose(const SceneData *scene, const Receiver *rec
     word = scene->light_nodes[word].child[light_lane(ends, number, &first, &numbers)];
     number -= first;
   } while (!(word & LEAF_FLAG));
+  u->x = place_among((float)number, (float)numbers, digits_behind(u->y));
   *pmf = (float)numbers * (1.0f / NUMBERS);
   return word & ~LEAF_FLAG;
 }

@@ -1,5 +1,6 @@
 // The light tree (lights/tree.cl) for sixteen receivers, each at its own node and with the bits of the scalar functions.
 #include "base/types16.h"
+#include "lights/rest16.h"
 #include "lights/tree.cl"
 
 #define CHILDREN 8u
@@ -202,12 +203,14 @@ static inline void walk16(const SceneData *scene, const Receiver16 *receiver, co
 
 static inline float16 walk_pmf16(const LightWalk16 *walk) { return to_float16(walk->numbers) * (1.0f / NUMBERS); }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void tree_choose_each(const SceneData *scene, const Receiver16 *receiver, const float16 *u,
-                                                             const Mask16 *on, uint16 *light, float16 *pmf) {
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void tree_choose_each(const SceneData *scene, const Receiver16 *receiver, const Mask16 *on,
+                                                             Point16 *u, uint16 *light, float16 *pmf) {
   for (LANES_OF(k, *on)) {
     const Receiver lit = lane_receiver(receiver, k);
+    float2 point = (float2)(LANE_F(u->x, k), LANE_F(u->y, k));
     float chance;
-    LANE_U(*light, k) = light_tree_choose(scene, &lit, LANE_F(*u, k), &chance);
+    LANE_U(*light, k) = light_tree_choose(scene, &lit, &point, &chance);
+    LANE_F(u->x, k) = point.x;
     LANE_F(*pmf, k) = chance;
   }
 }
@@ -223,16 +226,17 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void tree_pmf_each(const SceneData *scene
 static inline bool few_walkers16(const Mask16 on) { return POPCOUNT(mask16(on)) < LEAST_WALKERS; }
 
 // light_tree_choose of the lanes of `on`.
-static inline uint16 light_tree_choose16(const SceneData *scene, const Receiver16 *receiver, const float16 u, const Mask16 on,
+static inline uint16 light_tree_choose16(const SceneData *scene, const Receiver16 *receiver, const Mask16 on, Point16 *u,
                                          float16 *pmf) {
   uint16 light = 0u;
   if (few_walkers16(on)) {
-    tree_choose_each(scene, receiver, &u, &on, &light, pmf);
+    tree_choose_each(scene, receiver, &on, u, &light, pmf);
     return light;
   }
   LightWalk16 walk;
-  walk_start16(to_int16(u * NUMBERS), &walk);
+  walk_start16(to_int16(u->x * NUMBERS), &walk);
   walk16(scene, receiver, false, on, &walk);
+  u->x = place_among16(to_float16(walk.at), to_float16(walk.numbers), digits_behind16(u->y));
   *pmf = walk_pmf16(&walk);
   return walk.word & ~LEAF_FLAG;
 }

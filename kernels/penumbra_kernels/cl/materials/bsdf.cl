@@ -139,11 +139,11 @@ static inline bool bsdf_transmits(const Bsdf *b) {
 #endif
 }
 
-// Whether bsdf_sample asks for u_lobe.
+// Whether bsdf_sample asks for u_lobe: interfaces do, which have no direction yet where they choose, or a microfacet already.
+// All others choose by u (takes_lobe).
 static inline bool bsdf_has_lobes(const Bsdf *b) {
-#if PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION
-  if (b->type == MATERIAL_CONDUCTOR) return b->alpha_x > 0.0f;
-  return b->type != MATERIAL_DIFFUSE && b->type != MATERIAL_MIRROR;
+#if PENUMBRA_TRANSMISSION
+  return b->type == MATERIAL_DIELECTRIC || b->type == MATERIAL_THIN_DIELECTRIC;
 #else
   return false;
 #endif
@@ -178,15 +178,15 @@ static inline float3 lobes_eval(const Bsdf *b, const float3 wi, float *pdf) {
 static inline bool lobes_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
   if (b->type == MATERIAL_DIFFUSE) return diffuse_sample(u, out);
 #if PENUMBRA_GLOSS
-  if (b->type == MATERIAL_PHONG) return phong_sample(b, u_lobe, u, out);
+  if (b->type == MATERIAL_PHONG) return phong_sample(b, u, out);
   if (b->type == MATERIAL_MIRROR) return mirror_sample(b, out);
-  if (b->type == MATERIAL_CONDUCTOR) return conductor_sample(b, u_lobe, u, out);
-  if (b->type == MATERIAL_PLASTIC) return plastic_sample(b, u_lobe, u, out);
+  if (b->type == MATERIAL_CONDUCTOR) return conductor_sample(b, u, out);
+  if (b->type == MATERIAL_PLASTIC) return plastic_sample(b, u, out);
 #endif
 #if PENUMBRA_TRANSMISSION
   if (b->type == MATERIAL_DIELECTRIC) return dielectric_sample(b, u_lobe, u, out);
   if (b->type == MATERIAL_THIN_DIELECTRIC) return thin_dielectric_sample(b, u_lobe, u, out);
-  if (b->type == MATERIAL_DIFFUSE_TRANSMISSION) return diffuse_transmission_sample(b, u_lobe, u, out);
+  if (b->type == MATERIAL_DIFFUSE_TRANSMISSION) return diffuse_transmission_sample(b, u, out);
 #endif
   return false;
 }

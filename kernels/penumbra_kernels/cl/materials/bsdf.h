@@ -46,6 +46,14 @@ static inline float3 mirror_of(const float3 wo) { return (float3)(-wo.x, -wo.y, 
 static inline float reuse_below(const float u, const float p) { return MIN(u / p, ONE_MINUS_EPSILON); }
 static inline float reuse_above(const float u, const float p) { return MIN((u - p) / (1.0f - p), ONE_MINUS_EPSILON); }
 
+// Whether a point of the square chooses the lobe of probability p: one left of p does. Each lobe then has its part of the square
+// stretched over the whole of it, so that what spreads points evenly over the square spreads every lobe's own evenly.
+static inline bool takes_lobe(const float p, float2 *u) {
+  const bool takes = u->x < p;
+  u->x = takes ? reuse_below(u->x, p) : reuse_above(u->x, p);
+  return takes;
+}
+
 // Cosine-distributed direction about +z; density z / pi.
 static inline float3 cosine_direction(const float2 u) {
   float pdf;

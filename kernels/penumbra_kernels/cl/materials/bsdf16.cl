@@ -184,9 +184,8 @@ static inline Mask16 bsdf_transmits16(const Bsdf16 *b) {
 }
 
 static inline Mask16 bsdf_has_lobes16(const Bsdf16 *b) {
-#if PENUMBRA_GLOSS || PENUMBRA_TRANSMISSION
-  const Mask16 single = (b->type == MATERIAL_DIFFUSE) | (b->type == MATERIAL_MIRROR);
-  return ~(single | ((b->type == MATERIAL_CONDUCTOR) & ~(b->alpha_x > 0.0f)));
+#if PENUMBRA_TRANSMISSION
+  return (b->type == MATERIAL_DIELECTRIC) | (b->type == MATERIAL_THIN_DIELECTRIC);
 #else
   return NO_LANES;
 #endif
@@ -249,15 +248,15 @@ LOBES_FUNCTION void lobes_sample16(const SceneData *scene, const Bsdf16 *b, cons
   *alive = 0;
   TAKE_SAMPLE(MATERIAL_DIFFUSE, diffuse_sample16(some, at, out))
 #if PENUMBRA_GLOSS
-  TAKE_SAMPLE(MATERIAL_PHONG, phong_sample16(b, *u_lobe, at, some, out))
+  TAKE_SAMPLE(MATERIAL_PHONG, phong_sample16(b, *at, some, out))
   TAKE_SAMPLE(MATERIAL_MIRROR, mirror_sample16(b, some, out))
-  TAKE_SAMPLE(MATERIAL_CONDUCTOR, conductor_sample16(scene, b, *u_lobe, at, some, out))
-  TAKE_SAMPLE(MATERIAL_PLASTIC, plastic_sample16(b, *u_lobe, at, some, out))
+  TAKE_SAMPLE(MATERIAL_CONDUCTOR, conductor_sample16(scene, b, *at, some, out))
+  TAKE_SAMPLE(MATERIAL_PLASTIC, plastic_sample16(b, *at, some, out))
 #endif
 #if PENUMBRA_TRANSMISSION
   TAKE_SAMPLE(MATERIAL_DIELECTRIC, dielectric_sample16(scene, b, *u_lobe, at, some, out))
   TAKE_SAMPLE(MATERIAL_THIN_DIELECTRIC, thin_dielectric_sample16(scene, b, *u_lobe, at, some, out))
-  TAKE_SAMPLE(MATERIAL_DIFFUSE_TRANSMISSION, diffuse_transmission_sample16(b, *u_lobe, at, some, out))
+  TAKE_SAMPLE(MATERIAL_DIFFUSE_TRANSMISSION, diffuse_transmission_sample16(b, *at, some, out))
 #endif
 }
 

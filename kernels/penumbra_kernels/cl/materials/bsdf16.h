@@ -98,3 +98,9 @@ static inline float16 reuse_above16(const float16 u, const float16 p) {
   const float16 rest = (u - p) / (1.0f - p), most = ONE_MINUS_EPSILON;
   return MIN16(rest, most);
 }
+
+static inline Mask16 takes_lobe16(const float16 p, Point16 *u) {
+  const Mask16 takes = u->x < p;
+  u->x = takes ? reuse_below16(u->x, p) : reuse_above16(u->x, p);
+  return takes;
+}

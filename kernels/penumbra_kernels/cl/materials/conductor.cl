@@ -38,12 +38,12 @@ static inline float3 conductor_eval(const Bsdf *b, const float3 wi, float *pdf) 
   return value;
 }
 
-static inline bool conductor_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
+static inline bool conductor_sample(const Bsdf *b, float2 u, BsdfSample *out) {
   if (b->alpha_x == 0.0f) {
     delta_event(out, mirror_of(b->wo), conductor_fresnel(b, b->wo.z), 1.0f, 0u);
     return true;
   }
-  if (u_lobe < b->lobe) smooth_event(out, multiple_sample(b->near_table, u));
+  if (takes_lobe(b->lobe, &u)) smooth_event(out, multiple_sample(b->near_table, u));
   else smooth_event(out, reflect_about(b->wo, ggx_sample_visible(b->wo, b->alpha_x, b->alpha_y, u)));
   return out->event == 0u;
 }

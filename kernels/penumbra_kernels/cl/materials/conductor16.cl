@@ -50,16 +50,15 @@ static inline Vec16 conductor_eval16(const SceneData *scene, const Bsdf16 *b, co
   return where16(lit, value, vec16(zero, zero, zero));
 }
 
-static inline Mask16 conductor_sample16(const SceneData *scene, const Bsdf16 *b, const float16 u_lobe, const Point16 *at,
-                                        const Mask16 on, BsdfSample16 *out) {
+static inline Mask16 conductor_sample16(const SceneData *scene, const Bsdf16 *b, Point16 at, const Mask16 on, BsdfSample16 *out) {
   const Mask16 delta = on & (b->alpha_x == 0.0f), rough = on & ~delta;
   if (any16(delta)) {
     delta_event16(delta, mirror_of16(b->wo), conductor_fresnel16(b, b->wo.z), (float16)(1.0f), 0u, out);
   }
-  const Mask16 many = rough & (u_lobe < b->lobe), once = rough & ~many;
-  if (any16(many)) smooth_event16(many, multiple_sample16(scene, b->near_table, at, many), out);
+  const Mask16 many = rough & takes_lobe16(b->lobe, &at), once = rough & ~many;
+  if (any16(many)) smooth_event16(many, multiple_sample16(scene, b->near_table, &at, many), out);
   if (any16(once)) {
-    smooth_event16(once, reflect_about16(b->wo, ggx_sample_visible16(b->wo, b->alpha_x, b->alpha_y, at)), out);
+    smooth_event16(once, reflect_about16(b->wo, ggx_sample_visible16(b->wo, b->alpha_x, b->alpha_y, &at)), out);
   }
   return delta | (rough & (out->event == 0u));
 }

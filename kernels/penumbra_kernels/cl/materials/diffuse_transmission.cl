@@ -18,9 +18,10 @@ static inline float3 diffuse_transmission_eval(const Bsdf *b, const float3 wi, f
   return (wi.z > 0.0f ? b->color0 : b->color1) * cosine;
 }
 
-static inline bool diffuse_transmission_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
+static inline bool diffuse_transmission_sample(const Bsdf *b, float2 u, BsdfSample *out) {
+  const bool reflects = takes_lobe(b->lobe, &u);
   float3 wi = cosine_direction(u);
-  if (u_lobe >= b->lobe) wi.z = -wi.z;
+  if (!reflects) wi.z = -wi.z;
   smooth_event(out, wi);
   return true;
 }

@@ -15,10 +15,10 @@ static inline Vec16 diffuse_transmission_eval16(const Bsdf16 *b, const Vec16 wi,
   return scale16(where16(reflects, b->color0, b->color1), cosine);
 }
 
-static inline Mask16 diffuse_transmission_sample16(const Bsdf16 *b, const float16 u_lobe, const Point16 *at,
-                                                   const Mask16 on, BsdfSample16 *out) {
-  Vec16 wi = cosine_direction16(at);
-  wi.z = u_lobe >= b->lobe ? -wi.z : wi.z;
+static inline Mask16 diffuse_transmission_sample16(const Bsdf16 *b, Point16 at, const Mask16 on, BsdfSample16 *out) {
+  const Mask16 reflects = takes_lobe16(b->lobe, &at);
+  Vec16 wi = cosine_direction16(&at);
+  wi.z = reflects ? wi.z : -wi.z;
   smooth_event16(on, wi, out);
   return on;
 }

@@ -55,7 +55,7 @@ static inline float3 phong_cone(const Bsdf *b, const float2 u) {
   return x * (sine * c) + y * (sine * s) + axis * (1.0f - below);
 }
 
-static inline bool phong_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
-  smooth_event(out, u_lobe < b->lobe ? phong_cone(b, u) : cosine_direction(u));
+static inline bool phong_sample(const Bsdf *b, float2 u, BsdfSample *out) {
+  smooth_event(out, takes_lobe(b->lobe, &u) ? phong_cone(b, u) : cosine_direction(u));
   return out->event == 0u;
 }

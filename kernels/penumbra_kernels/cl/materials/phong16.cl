@@ -47,8 +47,8 @@ static inline Vec16 phong_cone16(const Bsdf16 *b, const Point16 *at) {
   return add16(add16(scale16(x, sine * c), scale16(y, sine * s)), scale16(axis, 1.0f - below));
 }
 
-static inline Mask16 phong_sample16(const Bsdf16 *b, const float16 u_lobe, const Point16 *at, const Mask16 on,
-                                    BsdfSample16 *out) {
-  smooth_event16(on, where16(u_lobe < b->lobe, phong_cone16(b, at), cosine_direction16(at)), out);
+static inline Mask16 phong_sample16(const Bsdf16 *b, Point16 at, const Mask16 on, BsdfSample16 *out) {
+  const Mask16 cone = takes_lobe16(b->lobe, &at);
+  smooth_event16(on, where16(cone, phong_cone16(b, &at), cosine_direction16(&at)), out);
   return on & (out->event == 0u);
 }

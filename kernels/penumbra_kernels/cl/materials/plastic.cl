@@ -36,8 +36,8 @@ static inline float3 plastic_eval(const Bsdf *b, const float3 wi, float *pdf) {
   return value;
 }
 
-static inline bool plastic_sample(const Bsdf *b, const float u_lobe, const float2 u, BsdfSample *out) {
-  if (u_lobe >= b->lobe) {
+static inline bool plastic_sample(const Bsdf *b, float2 u, BsdfSample *out) {
+  if (!takes_lobe(b->lobe, &u)) {
     smooth_event(out, cosine_direction(u));
     return true;
   }

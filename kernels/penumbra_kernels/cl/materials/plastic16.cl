@@ -43,18 +43,17 @@ static inline Vec16 plastic_eval16(const SceneData *scene, const Bsdf16 *b, cons
   return where16(lit, value, vec16(zero, zero, zero));
 }
 
-static inline Mask16 plastic_sample16(const Bsdf16 *b, const float16 u_lobe, const Point16 *at, const Mask16 on,
-                                      BsdfSample16 *out) {
-  const Mask16 base = on & (u_lobe >= b->lobe), coat = on & ~base;
+static inline Mask16 plastic_sample16(const Bsdf16 *b, Point16 at, const Mask16 on, BsdfSample16 *out) {
+  const Mask16 coat = on & takes_lobe16(b->lobe, &at), base = on & ~coat;
   const Mask16 clear = coat & (b->alpha_x == 0.0f), rough = coat & ~clear;
-  if (any16(base)) smooth_event16(base, cosine_direction16(at), out);
+  if (any16(base)) smooth_event16(base, cosine_direction16(&at), out);
   if (any16(clear)) {
     float16 cos_t;
     const float16 share = fresnel_dielectric16(b->wo.z, b->eta, &cos_t) / b->lobe;
     delta_event16(clear, mirror_of16(b->wo), vec16(share, share, share), b->lobe, 0u, out);
   }
   if (any16(rough)) {
-    smooth_event16(rough, reflect_about16(b->wo, ggx_sample_visible16(b->wo, b->alpha_x, b->alpha_y, at)), out);
+    smooth_event16(rough, reflect_about16(b->wo, ggx_sample_visible16(b->wo, b->alpha_x, b->alpha_y, &at)), out);
   }
   return base | clear | (rough & (out->event == 0u));
 }

@@ -100,11 +100,14 @@ __kernel void choose(__global float *out, const __global float *u, const __globa
   Receiver receiver;
   receiver.p = load3(p + 3 * i);
   receiver.n = load3(n + 3 * i);
+  float2 point = (float2)(u[2 * i], u[2 * i + 1]);
   float pmf;
-  const uint light = light_choose(&scene, &receiver, u[i], &pmf);
-  out[3 * i] = (float)light;
-  out[3 * i + 1] = pmf;
-  out[3 * i + 2] = light_pmf(&scene, &receiver, light);
+  const uint light = light_choose(&scene, &receiver, &point, &pmf);
+  out[5 * i] = (float)light;
+  out[5 * i + 1] = pmf;
+  out[5 * i + 2] = light_pmf(&scene, &receiver, light);
+  out[5 * i + 3] = point.x;
+  out[5 * i + 4] = point.y;
 }
 __kernel void pmf(__global float *out, const __global uint *light, const __global float *p, const __global float *n,
                   ARGUMENTS) {
@@ -127,8 +130,9 @@ __kernel void tally(__global uint *out, const __global float *at, const __global
   receiver.n = load3(at + 3);
   for (uint k = 0; k <= entries; ++k) row[k] = 0u;
   for (uint k = first; k < first + block; ++k) {
+    float2 point = (float2)((float)k * 0x1p-24f, 0.0f);
     float pmf;
-    const uint light = light_choose(&scene, &receiver, (float)k * 0x1p-24f, &pmf);
+    const uint light = light_choose(&scene, &receiver, &point, &pmf);
     row[pmf == told[light] ? light : entries]++;
   }
 }
@@ -290,10 +294,21 @@ class LightBench:
         self, scene: LightScene, u: Array, p: Array = ORIGIN, n: Array = ORIGIN
     ) -> tuple[Array, Array, Array]:
         """Light, its pmf as light_choose tells, and as light_pmf does, for receivers at p with normals n (n, 3)."""
-        out = np.empty((len(u), 3), np.float32)
+        out = self._choose(scene, np.stack([u, np.zeros(len(u))], axis=-1), p, n)
+        return out[:, 0].astype(np.int64), out[:, 1], out[:, 2]
+
+    def choose_points(
+        self, scene: LightScene, u: Array, p: Array = ORIGIN, n: Array = ORIGIN
+    ) -> tuple[Array, Array]:
+        """Light that points u (n, 2) choose, and (n, 2) the points that are left for samples of it."""
+        out = self._choose(scene, u, p, n)
+        return out[:, 0].astype(np.int64), out[:, 3:]
+
+    def _choose(self, scene: LightScene, u: Array, p: Array, n: Array) -> Array:
+        out = np.empty((len(u), 5), np.float32)
         places = [rows(a, len(u)) for a in (p, n)]
         self._run("choose", out, len(u), scene, np.asarray(u, np.float32), *places)
-        return out[:, 0].astype(np.int64), out[:, 1], out[:, 2]
+        return out
 
     def pmf(self, scene: LightScene, light: Array, p: Array, n: Array = ORIGIN) -> Array:
         """Probabilities of lights (n,) at receivers p with normals n (n, 3)."""
