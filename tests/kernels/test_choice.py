@@ -64,7 +64,8 @@ def test_more_work_never_speaks_against_building() -> None:
     ],
 )
 def test_few_paths_go_one_at_a_time(paths: float | None, plain: float, own: float, expected: bool) -> None:
-    assert is_short(paths, plain, own) is expected
+    assert is_short(paths, plain, own, 1) is expected
+    assert is_short(None if paths is None else 3 * paths, plain, own, 3) is expected
 
 
 @pytest.mark.parametrize(

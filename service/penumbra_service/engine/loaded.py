@@ -1,4 +1,5 @@
-"""A scene on a device, and the program that renders it: the generic one until the scene's own is there, if that comes first.
+"""A scene on a device, and the program that renders it: the generic one, or one without vector lanes, until the scene's own
+is there, if that comes first.
 
 Only device processes import it.
 """
@@ -28,7 +29,7 @@ _WARM_UP: Final = Tile(0, 0, 1, 1)
 """Some drivers compile a kernel at its first launch: one sample of one pixel has them do it outside of the
 tracing time."""
 LOOK_SECONDS: Final = 0.25
-"""Of rendering by the generic program, until the first look at whether the scene's own is worth building; each next look
+"""Of rendering by the program that began, until the first look at whether the scene's own is worth building; each next look
 comes after as long again as all before."""
 
 
@@ -64,13 +65,14 @@ class LoadedOnDevice:
             together=not begin.plain,
             keep_arrays=False,
         )
-        self._waits = spec.program == "auto" and begin.first == "generic"
+        self._plain = begin.plain
+        self._waits = spec.program == "auto" and (begin.first == "generic" or begin.plain)
         """Whether the scene's own program may take over."""
         self._own = begin.own
         self.background_seconds = 0.0
-        """Of building the program that renders, while the generic one did."""
+        """Of building the program that renders, while another one did."""
         self._samples, self._seconds, self._looked = 0, 0.0, 0.0
-        """Rendered by the generic program while its own may still come; at the last look."""
+        """Rendered by the program that began while its own may still come; at the last look."""
         self._take(tracer, begin.first)
         self.compile_seconds = time.perf_counter() - started - tracer.upload_seconds
         self.compile_warm = not tracer.compiled_cold
@@ -109,12 +111,17 @@ class LoadedOnDevice:
             return
         self._looked = self._seconds
         self._programs.spend(self._features, spent)
-        choice = self._programs.choose(self._scene, self._features, self._seconds)
-        if choice.build_own or choice.first == "specialised":  # another job had it built
+        if self._is_worth_building():
             self._own = self._programs.order(self._features.flags())
 
+    def _is_worth_building(self) -> bool:
+        if self._plain:
+            return self._programs.wants_lanes(self._scene, self._features, self._samples, self._seconds)
+        choice = self._programs.choose(self._scene, self._features, self._seconds)
+        return choice.build_own or choice.first == "specialised"  # another job had it built
+
     def _switch(self, built_seconds: float) -> None:
-        """Raises nothing: what does not work out leaves the generic program."""
+        """Raises nothing: what does not work out leaves the program that began."""
         started = time.perf_counter()
         try:
             own = self._tracer.specialised()
@@ -123,16 +130,21 @@ class LoadedOnDevice:
             print(f"the scene's own program was left aside: {error}", file=sys.stderr, flush=True)
             return
         if gain is None:
-            told = "other sums than the generic program's, in a picture that it has begun"
+            told = f"other sums than the {'plain' if self._plain else 'generic'} program's, in a picture that it has begun"
             print(f"the scene's own program was left aside: {told}", file=sys.stderr, flush=True)
             return
-        self._programs.note_gain(gain)
-        if self._seconds > LOOK_SECONDS:
-            self._programs.note_rate(self._samples / self._seconds)
+        if not self._plain:
+            self._note(gain)
         self._take(own, "specialised")
         self.build_seconds, self.compile_warm = 0.0, False
         self.compile_seconds = time.perf_counter() - started
         self.background_seconds = built_seconds
+
+    def _note(self, gain: float) -> None:
+        """What the generic program has shown."""
+        self._programs.note_gain(gain)
+        if self._seconds > LOOK_SECONDS:
+            self._programs.note_rate(self._samples / self._seconds)
 
     def _take(self, tracer: Tracer, program: Program) -> None:
         tracer.trace(_WARM_UP, 0, 1)

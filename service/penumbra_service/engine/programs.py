@@ -10,7 +10,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
-from penumbra_kernels.choice import PLAIN_SHARE, Choice, Program, choose, is_short, seconds_to_come
+from penumbra_kernels.choice import (
+    LANES_GAIN,
+    PLAIN_SHARE,
+    Choice,
+    Program,
+    choose,
+    is_short,
+    seconds_to_come,
+)
 from penumbra_kernels.compiler import Built, Compiler, Fork
 from penumbra_kernels.device import Device
 from penumbra_kernels.features import Features
@@ -51,7 +59,7 @@ class Beginning:
     order: Order | None
     """Of the program that renders first; null: it is in the cache."""
     own: Order | None
-    """Of the scene's own program, where the generic one renders first and that one is worth building."""
+    """Of the scene's own program, where another one renders first and that one is worth building."""
 
 
 class Programs:
@@ -96,16 +104,31 @@ class Programs:
         own_flags = features.plain_flags() if plain else features.flags()
         flags = features.generic_flags() if first == "generic" else own_flags
         order = None if self.cached(self.text(flags)) else self.order(flags)
-        own = self.order(features.flags()) if choice is not None and choice.build_own else None
+        build_own = choice is not None and choice.build_own
+        if plain and order is None:
+            build_own = self.wants_lanes(scene, features)
+        own = self.order(features.flags()) if build_own else None
         return Beginning(first, plain, order, own)
 
     def _begins_plain(self, scene: Scene, features: Features) -> bool:
         """Whether a job on a CPU is done by its own program for one path at a time before that for sixteen is built."""
         if self._device.info.kind != "cpu" or features.sampler == "random":
             return False
-        return is_short(
-            planned_paths(scene), self._wait(features.plain_flags()), self._wait(features.flags())
-        )
+        waits = self._wait(features.plain_flags()), self._wait(features.flags())
+        return is_short(planned_paths(scene), *waits, self._device.info.compute_units)
+
+    def wants_lanes(
+        self, scene: Scene, features: Features, samples: float = 0.0, seconds: float = 0.0
+    ) -> bool:
+        """Whether the program for sixteen paths is worth building for a scene that was thought to be done before: one path at
+        a time took so long for so many samples, or has rendered so much for other jobs that asked for the same."""
+        self.poll()
+        left = max((planned_paths(scene) or 0.0) - samples, 0.0)
+        own = features.flags()
+        spent = self._history.read().spent_for(source_hash(self.text(own)))
+        to_come = max(left * seconds / samples if samples else 0.0, spent)
+        choice = choose(self._wait(own), 0.0, to_come, LANES_GAIN, self._share)
+        return choice.build_own or choice.first == "specialised"  # another job had it built
 
     def choose(self, scene: Scene, features: Features, done: float = 0.0) -> Choice:
         """What a scene begins with, or, `done` seconds after it began with the generic program, goes on with."""
@@ -117,11 +140,15 @@ class Programs:
         self.poll()
         past = self._history.read()
         to_come = seconds_to_come(planned_seconds(scene, past.rate), done, past.spent_for(source_hash(own)))
-        share = 1.0 / self._device.info.compute_units if self._device.info.kind == "cpu" else 0.0
-        return choose(self._wait(features.flags()), 0.0, to_come, past.gain, share)
+        return choose(self._wait(features.flags()), 0.0, to_come, past.gain, self._share)
+
+    @property
+    def _share(self) -> float:
+        """Of the device's speed that building takes away meanwhile."""
+        return 1.0 / self._device.info.compute_units if self._device.info.kind == "cpu" else 0.0
 
     def spend(self, features: Features, seconds: float) -> None:
-        """The generic program has rendered for a scene whose own program is not built."""
+        """Another program has rendered for a scene whose own program is not built."""
         self._history.add_spent(source_hash(self.text(features.flags())), seconds)
 
     def note_gain(self, gain: float) -> None:

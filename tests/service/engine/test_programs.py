@@ -145,6 +145,49 @@ def test_a_job_of_few_paths_takes_one_at_a_time_until_a_longer_one_comes(bench: 
 
 
 @needs_device
+def test_a_job_that_takes_longer_than_was_thought_goes_over_to_lanes(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loaded, "LOOK_SECONDS", 0.0)
+    monkeypatch.setattr(programs, "planned_paths", lambda scene: 100.0)
+    scene = bench.load(bench.spec(stop={"samples": 1}))
+    plain = scene.program_hash
+    begun = bits(scene.trace(TILE, 0, 2, None))
+    scene.go_over()
+    assert (scene.program_hash, bench.built()) == (plain, 1)  # nothing is left
+    monkeypatch.setattr(programs, "planned_paths", lambda scene: 1e12)
+
+    def go_over() -> bool:
+        scene.trace(TILE, 0, 2, None)
+        scene.go_over()
+        return scene.program_hash != plain
+
+    until(go_over)
+    assert (scene.program, bench.built()) == ("specialised", 2)
+    assert scene.background_seconds > 0
+    assert begun == traced_by("specialised", 0)
+    assert bits(scene.trace(TILE, 2, 2, None)) == traced_by("specialised", 2)
+    assert not History(devices()[0]).read().gains, "those are of programs that both take sixteen"
+
+
+@needs_device
+def test_many_jobs_of_few_paths_have_lanes_built_in_the_end(
+    rooms: Programs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = Scene.model_validate({**SCENE, "stop": {"samples": 1}})
+    features = analyse(few)
+    monkeypatch.setattr(Device, "has_binary", lambda self, text: "#define PENUMBRA_TOGETHER 0" in text)
+    jobs = 0
+    while (begin := rooms.begin(few, features, "auto")).own is None:
+        assert (begin.first, begin.plain, begin.order) == ("specialised", True, None)
+        rooms.spend(features, 0.25)
+        jobs += 1
+        assert jobs < 100
+    assert jobs > 3
+    assert rooms._compiler.orders == [features.flags()]  # type: ignore[attr-defined]
+
+
+@needs_device
 def test_lines_of_the_lanes_count_where_they_are_in(bench: Bench) -> None:
     rooms, features = bench.backend._programs, analyse(Scene.model_validate(SCENE))
     assert rooms is not None
