@@ -144,16 +144,21 @@ static inline void light_shares16(const __global LightNode *nodes, const uint16 
     for (uint c = 0u; c < CHILDREN && any16(on & (count[c] != 0)); c += 4u)
       *(Rows16 *)(weights + c) = light_weights16(nodes, c, row, receiver);
   }
-  const Mask16 dark = !(sum_children16(weights) > zero);
-  int16 sum = 0;
-  for (uint c = 0u; c < CHILDREN; c++) {
-    weights[c] = dark ? to_float16(count[c]) : weights[c];
-    sum += weights[c] > zero ? count[c] : (int16)(0);
+  float16 total = sum_children16(weights);
+  const Mask16 dark = on & !(total > zero);
+  if (any16(dark)) {
+    for (uint c = 0u; c < CHILDREN; c++) weights[c] = dark ? to_float16(count[c]) : weights[c];
+    total = sum_children16(weights);
   }
-  const float16 free = to_float16(numbers - sum) * (1.0f - 0x1p-20f) / sum_children16(weights);
+  int16 least[CHILDREN], sum = 0;
+  for (uint c = 0u; c < CHILDREN; c++) {
+    least[c] = weights[c] > zero ? count[c] : (int16)(0);
+    sum += least[c];
+  }
+  const float16 free = to_float16(numbers - sum) * (1.0f - 0x1p-20f) / total;
   sum = 0;
   for (uint c = 0u; c < CHILDREN; c++) {
-    sum += (weights[c] > zero ? count[c] : (int16)(0)) + to_int16(weights[c] * free);
+    sum += least[c] + to_int16(weights[c] * free);
     ends[c] = sum;
   }
   for (uint c = 0u; c < CHILDREN; c++) ends[c] = ends[c] == sum ? numbers : ends[c];
@@ -179,16 +184,18 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void walk_step16(const SceneData *scene, 
   int16 count[CHILDREN], ends[CHILDREN];
   light_shares16(scene->light_nodes, row, receiver, walk->numbers, root, *on, count, ends);
   const int16 at = walk->at;
-  int16 before = 0, start = 0;
+  int16 before = 0, after = ends[0], first = 0, start = 0;
   uint16 child = 0u;
-  for (uint c = 0u; c < CHILDREN; c++) {
-    const Mask16 here = *on & (at >= start);
+  for (uint c = 1u; c < CHILDREN; c++) {
+    start = finds ? start + count[c - 1u] : ends[c - 1u];
+    const Mask16 here = at >= start;
     child = here ? (uint16)(c) : child;
-    walk->numbers = here ? ends[c] - before : walk->numbers;
-    walk->at = here ? at - start : walk->at;
-    before = ends[c];
-    start = finds ? start + count[c] : before;
+    before = here ? ends[c - 1u] : before;
+    after = here ? ends[c] : after;
+    first = here ? start : first;
   }
+  walk->numbers = *on ? after - before : walk->numbers;
+  walk->at = *on ? at - first : at;
   walk->word = *on ? gather_u16(scene->light_nodes->child, row + child, *on) : walk->word;
 }
 
