@@ -127,26 +127,42 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 #endif
 
 #if PENUMBRA_ROWS
-// Elements of a dimension's sequence that each sample takes m of, the j-th. False where their high half is not that of the samples'
-// indices.
+// Elements of a dimension's sequence that each sample takes m of, the j-th. False where their high half is not 0, or each sample has
+// but one.
 static inline bool elements16(const Sampler16 *s, const uint j, const uint m, uint16 *element) {
-  *element = m == 1u ? s->element : element_of16(s->low * m + j);
-  return m == 1u ? s->rows : s->rows && s->high == 0ul && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
+  *element = element_of16(s->low * m + j);
+  return m > 1u && s->rows && s->high == 0ul && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
 }
 #endif
 
-// Number j of m of the samples of the lanes of `bits`, one after the other.
-static PENUMBRA_NOINLINE void draw_each_1d(const Sampler16 *s, const ulong dim, const uint j, const uint m, uint bits, float16 *out) {
-  for (; bits; bits &= bits - 1u) {
-    const uint k = CTZ(bits);
+// Number j of m that each sample draws, where m > 1 or one lane has to draw after the other.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_any_1d(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 *on,
+                                                        float16 *out) {
+#if PENUMBRA_ROWS
+  uint16 element;
+  if (elements16(s, j, m, &element)) {
+    draw_row_1d(s, dim, &element, out);
+    return;
+  }
+#endif
+  *out = 0.0f;
+  for (LANES_OF(k, *on)) {
     const Sampler one = lane_sampler(s, k);
     LANE_F(*out, k) = sample_1d_of(&one, dim, j, m);
   }
 }
 
-static PENUMBRA_NOINLINE void draw_each_2d(const Sampler16 *s, const ulong dim, const uint j, const uint m, uint bits, Point16 *out) {
-  for (; bits; bits &= bits - 1u) {
-    const uint k = CTZ(bits);
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_any_2d(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 *on,
+                                                        Point16 *out) {
+#if PENUMBRA_ROWS
+  uint16 element;
+  if (elements16(s, j, m, &element)) {
+    draw_row_2d(s, dim, &element, out);
+    return;
+  }
+#endif
+  out->x = out->y = 0.0f;
+  for (LANES_OF(k, *on)) {
     const Sampler one = lane_sampler(s, k);
     const float2 u = sample_2d_of(&one, dim, j, m);
     LANE_F(out->x, k) = u.x;
@@ -156,29 +172,26 @@ static PENUMBRA_NOINLINE void draw_each_2d(const Sampler16 *s, const ulong dim, 
 
 // Number j of m that each sample draws.
 static inline float16 sample_1d_of16(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 on) {
-  float16 out = 0.0f;
+  float16 out;
 #if PENUMBRA_ROWS
-  uint16 element;
-  if (elements16(s, j, m, &element)) {
-    draw_row_1d(s, dim, &element, &out);
+  if (m == 1u && s->rows) {
+    draw_row_1d(s, dim, &s->element, &out);
     return out;
   }
 #endif
-  draw_each_1d(s, dim, j, m, mask16(on), &out);
+  draw_any_1d(s, dim, j, m, &on, &out);
   return out;
 }
 
 static inline Point16 sample_2d_of16(const Sampler16 *s, const ulong dim, const uint j, const uint m, const Mask16 on) {
   Point16 out;
-  out.x = out.y = 0.0f;
 #if PENUMBRA_ROWS
-  uint16 element;
-  if (elements16(s, j, m, &element)) {
-    draw_row_2d(s, dim, &element, &out);
+  if (m == 1u && s->rows) {
+    draw_row_2d(s, dim, &s->element, &out);
     return out;
   }
 #endif
-  draw_each_2d(s, dim, j, m, mask16(on), &out);
+  draw_any_2d(s, dim, j, m, &on, &out);
   return out;
 }
 
