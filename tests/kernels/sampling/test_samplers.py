@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -136,6 +137,28 @@ def test_regular_with_m_light_points_keeps_them_fixed(samplers: Any) -> None:
     expected = {(x, y) for x in (0.25, 0.75) for y in (0.25, 0.75)}
     assert {tuple(p) for p in points[0].tolist()} == expected
     np.testing.assert_array_equal(draw(2, PIXEL, 0, strata=1), [0.5, 0.5])
+
+
+@pytest.mark.parametrize(("log2", "missing"), [(3, 1), (4, 2), (6, 1), (8, 2)])
+@pytest.mark.parametrize("slot", [1, 3], ids=["light", "direction"])
+def test_sobol_spreads_the_pixel_with_what_its_first_hit_sends_out(
+    samplers: Any, slot: int, log2: int, missing: int
+) -> None:
+    """Every box of volume 2^missing / 2^log2 whose sides are powers of two has 2^missing of 2^log2 points in four dimensions;
+    and each pair alone is spread in every elementary interval."""
+    draw = samplers("sobol")
+    index, pixels = 5 * (1 << log2) + np.arange(1 << log2), np.arange(8)[:, None]
+    pixel, sent = (draw(2, d, index, pixels, 7).astype(np.float64) for d in (PIXEL, bounce(0, slot)))
+    for points, lost in ((pixel, 0), (sent, 0), (np.concatenate([pixel, sent], axis=-1), missing)):
+        free = log2 - lost
+        for digits in itertools.product(range(free + 1), repeat=points.shape[-1]):
+            if sum(digits) != free:
+                continue
+            cells = np.zeros(points.shape[:-1], np.int64)
+            for axis, bits in enumerate(digits):
+                cells = (cells << bits) + np.floor(points[..., axis] * (1 << bits)).astype(np.int64)
+            counts = np.stack([np.bincount(row, minlength=1 << free) for row in cells])
+            assert (counts == 1 << lost).all()
 
 
 @pytest.mark.parametrize("name", ["sobol", "blue_noise"])

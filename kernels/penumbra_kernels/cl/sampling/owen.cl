@@ -48,6 +48,16 @@ static inline uint pascal_reversed(uint index) {
   return index ^ ((index & 0xaaaaaaaau) >> 1);
 }
 
+// Another order of the same sequence: a linear map over bits whose aligned blocks of 2^m indices are those that they were. With the
+// pair at the index itself it makes four dimensions, of which 2^m points miss evenness by t bits, where the first four dimensions of
+// Joe and Kuo (2008) miss it by those in brackets: m 2: 1 (1), 3: 1 (2), 4: 2 (2), 5: 2 (2), 6: 1 (2), 7: 2 (2), 8: 2 (3),
+// 10: 3 (2). Found by trying at random some 100,000 maps of up to three such steps.
+static inline uint joined(uint index) {
+  index ^= (index & 0xccccccccu) >> 2;
+  index ^= index >> 6;
+  return index ^ ((index & 0xb6db6db6u) >> 5);
+}
+
 // Owen-scrambled dimensions at an index: reversed numbers are what scrambling wants, so only the result is turned round.
 static inline uint sobol_x(const uint index, const uint seed) { return REVERSE_BITS(scramble_reversed(index, seed)); }
 

@@ -93,15 +93,18 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, cons
 }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
+  const ulong shuffle = shuffle_of(dim);
   if (s->one) {
     const ulong key = key_of(s, dim), more = mix64(key);
-    const uint16 shuffled = shuffled16(*element, (uint16)((uint)key));
+    uint16 shuffled = shuffled16(*element, (uint16)((uint)(shuffle == dim ? key : key_of(s, shuffle))));
+    if (dim == DIM_PIXEL) shuffled = joined16(shuffled);
     p->x = sobol_x16(shuffled, (uint16)((uint)(more >> 32)));
     p->y = sobol_y16(shuffled, (uint16)((uint)more));
     return;
   }
   const ulong16 keys = keys_of(s, dim), more = mix64_16(keys);
-  const uint16 shuffled = shuffled16(*element, low_half16(keys));
+  uint16 shuffled = shuffled16(*element, low_half16(shuffle == dim ? keys : keys_of(s, shuffle)));
+  if (dim == DIM_PIXEL) shuffled = joined16(shuffled);
   p->x = sobol_x16(shuffled, high_half16(more));
   p->y = sobol_y16(shuffled, low_half16(more));
 }

@@ -29,6 +29,12 @@ static inline uint16 pascal_reversed16(uint16 index) {
   return index ^ ((index & 0xaaaaaaaau) >> 1u);
 }
 
+static inline uint16 joined16(uint16 index) {
+  index ^= (index & 0xccccccccu) >> 2u;
+  index ^= index >> 6u;
+  return index ^ ((index & 0xb6db6db6u) >> 5u);
+}
+
 // Indices before a dimension's shuffle, which is the same for all dimensions, and after it, by its hashes.
 static inline uint16 shuffle_start16(const uint16 index) { return scramble_start16(reverse_bits16(index)); }
 static inline uint16 shuffled16(const uint16 start, const uint16 key) { return reverse_bits16(scramble_end16(start, key)); }
