@@ -37,6 +37,7 @@ __kernel void both(__global float4 *out, const __global float *table, const floa
   }
   filter_sample16(table, radius, ux, uy, on, &x, &y, &weight);
   for (uint k = 0u; k < LANES; k++) {
+    out[2u * (first + k)] = out[2u * (first + k) + 1u] = (float4)(0.0f);
     if (!LANE_I(on, k)) continue;
     float alone;
     const float2 offset = filter_sample(table, radius, u[first + k], &alone);
