@@ -15,7 +15,7 @@ from penumbra_scene.adaptive import Adaptive
 from penumbra_scene.area import LEAST_AREA, MOST_TRIANGLES_LOOKED_AT, emits, flat_triangles, has_area
 from penumbra_scene.assets import AssetRef
 from penumbra_scene.errors import pointer, shorten
-from penumbra_scene.film import BoxFilter
+from penumbra_scene.film import BoxFilter, MitchellFilter
 from penumbra_scene.lights import ImageEnvironment
 from penumbra_scene.materials import Conductor, Dielectric, Phong, Plastic, TextureRef, ThinDielectric
 from penumbra_scene.placement import Affine, placements
@@ -26,6 +26,8 @@ from penumbra_scene.transforms import Keyframes, Step
 
 _SEEN: Final = ("camera", "textures", "materials", "prototypes", "shapes", "lights", "environment")
 """Sections of a scene that are looked at, whoever samples them."""
+_FIXED_PLACES: Final = ("regular", "stratified")
+"""Samplers that take the same few places in every pixel, however many samples there are."""
 _PIXEL_BOX: Final = 0.5
 """Radius of the box filter that is exactly one pixel."""
 _UNIFORM: Final = 1e-5
@@ -117,6 +119,14 @@ def _sampling(scene: Scene) -> Iterator[SceneError]:
             "the sampler `random` gives each pixel the samples that fall into it, which is the box filter",
             shorten(film.filter.model_dump(mode="json")),
             '{"type": "box", "radius": 0.5}, or another sampler',
+        )
+    if sampler.type in _FIXED_PLACES and isinstance(film.filter, MitchellFilter) and film.filter.c > 0:
+        yield SceneError(
+            "/film/filter",
+            f"the sampler `{sampler.type}` has fixed places in the pixel, and more or fewer of them than is due lie in the "
+            "filter's negative lobes: the picture would be too bright or too dark",
+            shorten(film.filter.model_dump(mode="json")),
+            '"c": 0, another filter, or another sampler',
         )
     if stop.relative_error is not None:
         yield from _target(scene)

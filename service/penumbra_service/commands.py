@@ -250,7 +250,7 @@ Say for each effect whether a scene calls for it, and why: a program is compiled
 def _configure_explain(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE", help="scene file (JSON)")
     parser.add_argument(
-        "--time", type=float, default=0.0, metavar="S", help="of the frame, seconds (default 0)"
+        "--time", type=frame_time, default=0.0, metavar="S", help="of the frame, seconds (default 0)"
     )
     parser.add_argument("--json", action="store_true", help="for programs")
     parser.add_argument(
@@ -262,6 +262,14 @@ def _configure_explain(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def frame_time(text: str) -> float:
+    """A frame's place in time, seconds, from the command line."""
+    with suppress(ValueError):
+        if math.isfinite(seconds := float(text)):
+            return seconds
+    raise argparse.ArgumentTypeError(f"{text!r} given, accepted: a finite number of seconds")
+
+
 def _explain(arguments: argparse.Namespace) -> int:
     from penumbra_kernels import cache
     from penumbra_scene.errors import ProblemError
@@ -271,8 +279,6 @@ def _explain(arguments: argparse.Namespace) -> int:
 
     if not 0 < arguments.budget < math.inf:
         raise CommandError(f"--budget: {arguments.budget:g} given, a number of seconds above 0 accepted")
-    if not math.isfinite(arguments.time):
-        raise CommandError(f"--time: {arguments.time:g} given, a finite number of seconds accepted")
     try:
         measured = None
         explain(arguments.scene, arguments.time)  # what is no scene is told before a device is asked for
@@ -286,7 +292,7 @@ def _explain(arguments: argparse.Namespace) -> int:
     except MeasureError as error:
         raise CommandError(str(error), Exit.DEVICE) from error
     except OSError as error:
-        raise CommandError(f"cannot read {arguments.scene}: {error.strerror}") from error
+        raise CommandError(f"cannot read {arguments.scene}: {error.strerror}", Exit.INVALID) from error
     except ProblemError as error:
         raise CommandError(str(error), Exit.INVALID) from error
     print(text)

@@ -132,6 +132,15 @@ def test_the_plane_wide_sampler_needs_the_box_filter(chosen: Any, refused: bool)
     assert ("/film/filter" in found) == refused
 
 
+@pytest.mark.parametrize("sampler", ["regular", "stratified", "jittered", "sobol"])
+@pytest.mark.parametrize("c", [0, 0.5])
+def test_fixed_places_in_the_pixel_weigh_no_negative_lobes(sampler: str, c: float) -> None:
+    """Nine places of 3 x 3 hold other shares of the lobes than their integral does."""
+    film = {"filter": {"type": "mitchell", "b": 0.2, "c": c}}
+    found = errors({**CAMERA, "sampler": {"type": sampler}, "film": film})
+    assert ("/film/filter" in found) == (sampler in ("regular", "stratified") and c > 0)
+
+
 def test_files_are_refused_unless_allowed_and_every_one_is_named() -> None:
     ref = {"file": "a.ply"}
     document = {

@@ -362,8 +362,11 @@ def test_explain_refuses_what_is_no_scene(tmp_path: Path, environment: dict[str,
     told = _penumbra("explain", str(scene), environment=environment)
     assert told.returncode == Exit.INVALID
     assert "version" in told.stderr
-    assert _penumbra("explain", str(tmp_path / "none.json"), environment=environment).returncode == Exit.USAGE
+    assert (
+        _penumbra("explain", str(tmp_path / "none.json"), environment=environment).returncode == Exit.INVALID
+    )
     for option in ("--time", "--budget"):
         refused = _penumbra("explain", str(scene), option, "nan", environment=environment)
         assert refused.returncode == Exit.USAGE
-        assert f"{option}: nan given" in refused.stderr
+        assert f"{option}: " in refused.stderr
+        assert "nan" in refused.stderr

@@ -12,7 +12,7 @@ from typing import Final
 
 from penumbra_scene.exits import Exit
 
-from penumbra_service.commands import Command, CommandError
+from penumbra_service.commands import Command, CommandError, frame_time
 
 _MERGE: Final = """\
 Take renders of one scene with different seeds together: the mean of all their samples, and its variance.
@@ -99,7 +99,7 @@ def _configure_compare(parser: argparse.ArgumentParser) -> None:
         "--size", type=_size, metavar="WxH", help="picture size in pixels (default: the scene's)"
     )
     parser.add_argument(
-        "--time", type=float, default=0.0, metavar="S", help="of the frame, seconds (default 0)"
+        "--time", type=frame_time, default=0.0, metavar="S", help="of the frame, seconds (default 0)"
     )
     parser.add_argument("--device", metavar="IDS", default="", help="OpenCL devices, commas between them")
     parser.add_argument(
@@ -163,7 +163,8 @@ def _compare(arguments: argparse.Namespace) -> int:
     except RunFailedError as error:
         raise CommandError(str(error), Exit.FAILED) from error
     except OSError as error:
-        raise CommandError(f"cannot compare: {error}") from error
+        named = error.filename is not None and Path(error.filename) == arguments.scene
+        raise CommandError(f"cannot compare: {error}", Exit.INVALID if named else Exit.USAGE) from error
     print(in_words(found, arguments.out))
     return Exit.OK
 

@@ -84,7 +84,10 @@ def progress_of(
     )
 
 
-def _to_go(told: Forecast, now: Now, confidence: float) -> Interval:
+def _to_go(told: Forecast, now: Now, confidence: float) -> Interval | None:
+    """None where a cap ends the run: it will at that number, and how its seconds will vary is not known."""
+    if told.seconds_low == told.seconds_high:
+        return None
     high = None if told.seconds_high is None else told.seconds_high - now.seconds
     return Interval(low=told.seconds_low - now.seconds, high=high, confidence=confidence)
 

@@ -94,7 +94,7 @@ def _quoted(scene: Scene, found: PilotResult, target: float) -> QuotedError | No
         return None
     spread = _Spread(scene, found)
     even = [_whole(found, n) for n in (told.samples, told.samples_low, told.samples_high)]
-    value, low, high = (spread.saving.samples * n for n in even)
+    value, low, high = (max(spread.saving.samples * n, MIN_CHECK_SAMPLES) for n in even)
     samples = _Range(value, low, None if found.points[-1].of_few else high, confidence)
     seconds = samples.seconds(spread)
     return QuotedError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib import metadata
@@ -11,7 +11,7 @@ from typing import Final
 
 from penumbra_kernels.allotment import own_samples
 from penumbra_kernels.limits import not_covered
-from penumbra_scene.check import picture_hash, scene_hash
+from penumbra_scene.check import check_scene, picture_hash, scene_hash
 from penumbra_scene.job import ErrorPoint, Interval, StopReason
 from penumbra_scene.measured import EffectsMeasured
 from penumbra_scene.receipt import (
@@ -119,6 +119,7 @@ def build_receipt(
         resumed=record.resumed,
         checked_leases=record.checked_leases,
         warnings=(
+            *_of_scene(scene),
             *record.warnings,
             *context.warnings,
             *_missed(scene, record, reason),
@@ -128,13 +129,22 @@ def build_receipt(
     )
 
 
+def _of_scene(scene: Scene) -> Iterator[str]:
+    """What is probably not meant, as validation tells it."""
+    for found in check_scene(scene, allow_files=True):
+        if found.warning:
+            yield f"at {found.pointer or 'the top'}: {found.message}"
+
+
 def _missed(scene: Scene, record: RunRecord, reason: StopReason) -> tuple[str, ...]:
     """What an error target that was not met would have taken."""
     stop = scene.stop
     if reason is StopReason.RELATIVE_ERROR or stop.relative_error is None or not record.points:
         return ()
     last = record.points[-1]
-    caps = (last.samples, None) if reason is StopReason.SAMPLES else (None, record.seconds)
+    caps: tuple[float | None, float | None] = (None, stop.seconds or record.seconds)
+    if reason is StopReason.SAMPLES:
+        caps = (stop.samples or last.samples, None)
     short = shortfall(record.points, stop.relative_error, stop.confidence, *caps)
     return () if short is None else (f"the error target was not met: {short.message}",)
 

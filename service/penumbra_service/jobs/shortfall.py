@@ -39,6 +39,7 @@ def shortfall(
         return None
     _, cap, name = min(missed)
     error = _error_at(points, told, samples, seconds)
+    limit = f"{cap:,.0f} samples" if name == "samples" else f"{cap:,g} seconds"
     return Shortfall(
         target=target,
         needed_samples=told.samples,
@@ -48,7 +49,7 @@ def shortfall(
         message=(
             f"a relative error of {_percent(target)} needs about {_about(told.samples)} samples a pixel"
             f" ({_about(told.samples_low)} to {_about(told.samples_high)}) and {_about(told.seconds)} s;"
-            f" the cap is {cap:,g} {name}, where the error will be about {_percent(error)}"
+            f" the cap is {limit}, where the error will be about {_percent(error)}"
         ),
     )
 

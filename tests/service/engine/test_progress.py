@@ -43,9 +43,14 @@ def test_a_cap_is_an_upper_end_all_the_same() -> None:
         interval = told(cap, of_few=True).predicted_seconds_interval
         assert interval is not None
         assert interval.high == pytest.approx(73.6)
-    known = told(StopRule(4, 200), of_few=True).predicted_seconds_interval
-    assert known is not None
-    assert known.low == known.high == pytest.approx(73.6)
+
+
+def test_a_cap_alone_has_no_interval() -> None:
+    """How the devices' rate will vary is not known, and one of no width would say that it is."""
+    for cap in (StopRule(4, 200), StopRule(4, seconds=80.0)):
+        progress = told(cap, of_few=True)
+        assert progress.predicted_seconds == pytest.approx(73.6)
+        assert progress.predicted_seconds_interval is None
 
 
 def test_command_line_and_page_say_at_least() -> None:

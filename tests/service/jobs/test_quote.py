@@ -7,15 +7,22 @@ from typing import Any
 import pytest
 from penumbra_scene.quote import Quote
 from penumbra_scene.scene import Scene
+from penumbra_service.film.allocation import Saving
 from penumbra_service.film.predict import Point
 from penumbra_service.film.replicates import choose_layout
+from penumbra_service.film.stop import MIN_CHECK_SAMPLES
 from penumbra_service.jobs.pilot import PilotResult
 from penumbra_service.jobs.quote import build_quote
 from penumbra_service.web.quotes import quote_view
 
 
-def quoted(stop: dict[str, Any], carriers: float, *, of_few: bool, floor: float = 0.0) -> Quote:
-    scene = Scene.model_validate({"version": 1, "camera": {"type": "perspective"}, "stop": stop})
+def quoted(
+    stop: dict[str, Any], carriers: float, *, of_few: bool, floor: float = 0.0, saving: Saving | None = None
+) -> Quote:
+    adaptive = None if saving is None else {"strategy": "error"}
+    scene = Scene.model_validate(
+        {"version": 1, "camera": {"type": "perspective"}, "stop": stop, "adaptive": adaptive}
+    )
     points = [
         Point(n, n / 50, 1 / n, 1.2 / n, 0.1, 1 / n, carriers, of_few and n == 128, floor)
         for n in (16, 32, 64, 128)
@@ -23,6 +30,7 @@ def quoted(stop: dict[str, Any], carriers: float, *, of_few: bool, floor: float 
     found = PilotResult(
         choose_layout(scene.sampler, scene.stop), points, 30, 30, 7680, 2.0, 0.02, rate_deviation=0.05
     )
+    found.saving = saving
     return build_quote(scene, 0.0, found)
 
 
@@ -48,6 +56,12 @@ def test_a_dark_picture_has_a_warning() -> None:
     dark, plain = (quoted({"relative_error": 0.05}, 900.0, of_few=False, floor=f) for f in (0.75, 0.3))
     assert any("dark" in warning and "75 %" in warning and "2 times" in warning for warning in dark.warnings)
     assert not plain.warnings
+
+
+def test_spreading_samples_saves_none_of_those_that_an_error_takes_to_be_known() -> None:
+    told = quoted({"relative_error": 0.5}, 900.0, of_few=False, saving=Saving(samples=0.1))
+    assert told.end.samples == MIN_CHECK_SAMPLES
+    assert min(row.samples for row in told.table) >= MIN_CHECK_SAMPLES
 
 
 @pytest.mark.parametrize("stop", [{"samples": 64}, {"seconds": 10.0}])

@@ -58,6 +58,9 @@ def test_the_numbers_are_those_of_the_law(share: float) -> None:
     assert told.needed_seconds == pytest.approx(told.needed_samples / RATE, rel=1e-6)
     assert told.expected_error == pytest.approx(math.sqrt(law(share, 512)), rel=0.01)
     assert "the cap is 512 samples" in told.message
+    averaged = short(points, target, 512.214, 1e6)  # where pixels differ in theirs
+    assert averaged is not None
+    assert "the cap is 512 samples" in averaged.message
 
 
 def test_the_cap_that_comes_first_is_named() -> None:
