@@ -43,7 +43,9 @@ def print_fetched(job: JobStatus, paths: Mapping[str, Path]) -> None:
 def print_receipt(receipt: Receipt, folder: Path) -> None:
     """The same of a render in this process."""
     error = error_text(receipt.error.relative_error, receipt.error.relative_error_interval)
-    spent = f"{_count(receipt.samples)} samples a pixel in {duration(receipt.stages.trace.seconds)} of tracing"
+    spent = (
+        f"{_count(receipt.samples)} samples a pixel in {duration(receipt.stages.trace.seconds)} of tracing"
+    )
     print(f"{receipt.name}: {spent}, relative error {error}{_ended(receipt.stop_reason)}")
     if receipt.adaptive is not None:
         print(f"adaptive: {_adaptive_text(receipt.adaptive)}")

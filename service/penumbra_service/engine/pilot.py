@@ -20,6 +20,7 @@ from penumbra_scene.check import scene_hash
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.desk import LeaseDesk
+from penumbra_service.engine.launch_cost import Cost, Work, fit, joined
 from penumbra_service.engine.protocol import (
     DeviceDescription,
     Engine,
@@ -87,15 +88,29 @@ class PilotTask:
 
 
 @dataclass
-class _Rate:
-    """Leases of one device: samples and seconds of each."""
+class _Pace:
+    """Of one device."""
 
-    samples: list[int] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
+    leases: list[Work] = field(default_factory=list)
+    """Of the newest round, or of whole tiles."""
+    rounds: list[Work] = field(default_factory=list)
+    """The earlier ones that it had leases of."""
 
     @property
     def samples_per_second(self) -> float:
-        return sum(self.samples) / max(sum(self.seconds), 1e-9)
+        """In the newest round, with all that short leases cost."""
+        newest = joined(self.leases)
+        return newest.samples / newest.seconds if self.leases else 0.0
+
+    @property
+    def cost(self) -> Cost:
+        return fit([*self.rounds, joined(self.leases)] if self.leases else self.rounds)
+
+    def begin_round(self) -> None:
+        """What was measured so far is of an earlier one."""
+        if self.leases:
+            self.rounds.append(joined(self.leases))
+            self.leases = []
 
 
 class PilotRunner:
@@ -124,7 +139,8 @@ class PilotRunner:
         """The same of the blocks that share a level, where the scene's samples are spread by error."""
         self._untrusted = 0
         """Pixels of the newest round whose error bar is not to be trusted."""
-        self._rates: dict[str, _Rate] = {}
+        self._paces: dict[str, _Pace] = {}
+        """Of each device."""
         self._pending = 0
         """Samples that the round lacks."""
         self._keep = self._timing = True
@@ -196,17 +212,23 @@ class PilotRunner:
         left = PILOT_SECONDS - self._elapsed()
         count, rounds = affordable(self._rate(), left, self._layout.replicates, ends, most)
         chosen = choose_blocks(self._blocks, count, self._seed)
+        if self._timing:
+            self._paces.clear()  # the probe's caches were cold
         done = 0
         for end in ends[:rounds]:
             chosen = self._within_time(chosen, end - done) if done else chosen
             if not chosen:
                 break
             if self._timing:
-                self._rates.clear()  # caches were cold, and of short leases the way there and back is a large part
+                self._begin_round()
             self._render(chosen, done, end)
             self._look(chosen, end)
             done = end
         self._conclude()
+
+    def _begin_round(self) -> None:
+        for pace in self._paces.values():
+            pace.begin_round()
 
     def _within_time(self, tiles: list[Tile], count: int) -> list[Tile]:
         """Those that the next round can still take: half of them where time is short, again and again."""
@@ -217,7 +239,7 @@ class PilotRunner:
 
     def _pace(self) -> None:
         """Whole tiles, for devices that blocks leave idle: their rate is that of a job."""
-        self._rates.clear()
+        self._paces.clear()
         tiles = list(TileGrid(self._window, PACE_TILE))
         at_once = len(self._engine.usable())
         until = time.monotonic() + PACE_SECONDS
@@ -267,9 +289,8 @@ class PilotRunner:
         self._start_clock()
         samples = sum(node.sums.size * node.sample_count for node in result.nodes)
         if self._timing:
-            rate = self._rates.setdefault(device.id, _Rate())
-            rate.samples.append(samples)
-            rate.seconds.append(result.seconds)
+            pace = self._paces.setdefault(device.id, _Pace())
+            pace.leases.append(Work(len(result.nodes), samples, max(result.seconds, 1e-9)))
         self._pending -= samples
         use = self._result.devices.setdefault(
             device.id, DeviceUse(device.id, device.name, device.platform, device.driver, device.bit_class)
@@ -307,7 +328,7 @@ class PilotRunner:
 
     def _rate(self) -> float:
         """Samples a second of all devices together."""
-        return sum(rate.samples_per_second for rate in self._rates.values())
+        return sum(pace.samples_per_second for pace in self._paces.values())
 
     def _look(self, tiles: Sequence[Tile], end: int) -> None:
         """Pool what a round has brought."""
@@ -333,7 +354,7 @@ class PilotRunner:
         taken, rejected = sum(s.taken for s in last.values()), sum(s.rejected for s in last.values())
         result.rejected_share = rejected / max(taken + rejected, 1)
         result.seconds = self._elapsed()
-        result.seconds_per_sample = self._pixels / self._rate()
+        result.seconds_per_sample = self._pixels / sum(1 / pace.cost.sample for pace in self._paces.values())
         result.rate_deviation = self._rate_deviation()
         for end, round_ in self._summaries.items():
             samples = end * self._layout.replicates
@@ -360,9 +381,7 @@ class PilotRunner:
     def _rate_deviation(self) -> float:
         """From the spread of seconds a sample over leases, which are of different blocks."""
         costs = [
-            seconds / samples
-            for rate in self._rates.values()
-            for seconds, samples in zip(rate.seconds, rate.samples, strict=True)
+            pace.cost.seconds_per_sample(lease) for pace in self._paces.values() for lease in pace.leases
         ]
         if len(costs) < 2:
             return 0.0
