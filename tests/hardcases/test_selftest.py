@@ -108,3 +108,10 @@ def test_a_failed_case_ends_with_status_1(device: Device, monkeypatch: pytest.Mo
     case = _case(1, lambda bench: iter([at_most("wrong", 2, 1)]))
     monkeypatch.setattr(selftest, "cases", lambda: (case,))
     assert main(["selftest"]) == 1
+
+
+def test_trees_from_the_cache_are_tested_as_well() -> None:
+    """They cannot be written to."""
+    for _ in ("built", "from the cache"):
+        told = _selftest("--case", "coincident-faces")
+        assert told.returncode == 0, told.stdout

@@ -232,7 +232,10 @@ def needle(bench: Workbench) -> Iterator[Measure]:
 
 
 def permute_storage(rng: np.random.Generator, tree: Any) -> None:
-    """Put the children of every node and the lanes of every packet into another order, in place."""
+    """Put the children of every node and the lanes of every packet into another order, in copies: a tree from the cache cannot
+    be written to."""
+    for name in ("nodes", "packets"):
+        tree.arrays[name] = tree.arrays[name].copy()
     for node in tree.arrays["nodes"]:
         order = rng.permutation(8)
         for name in ("lo_x", "hi_x", "lo_y", "hi_y", "lo_z", "hi_z", "child"):
