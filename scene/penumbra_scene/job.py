@@ -195,7 +195,8 @@ class Progress(Model):
     predicted_seconds: Measured | None = None
     """Of tracing, still to go until the job stops; null where it cannot be told."""
     predicted_seconds_interval: Interval | None = None
-    """No upper end: few pixels carry the error, and what a lower one takes may be many times as much."""
+    """No upper end: few pixels carry the error, and what a lower one takes may be many times as much. Null where a cap alone
+    ends the job: how its seconds will vary is not known."""
     shortfall: Shortfall | None = None
     """The error target that the job cannot reach within its caps; null where it may."""
     thumbnail_revision: Count = 0

@@ -15,6 +15,11 @@ _LINE_STEP: Final = 0.25
 """Share of the work between two lines where there is no terminal."""
 
 
+def count(samples: float) -> str:
+    """Samples a pixel. Pixels may differ in theirs, so that their mean is no whole number."""
+    return f"{samples:.4g}" if samples < 10_000 else f"{samples:,.0f}"
+
+
 def percent(error: float | None) -> str:
     """An error as people write it: three digits."""
     return "unknown" if error is None else f"{100 * error:.3g} %"
@@ -32,7 +37,7 @@ def duration(seconds: float | None) -> str:
 
 
 def _numbers(event: ProgressEvent) -> str:
-    words = [f"{event.samples_done:.4g} samples", f"error {percent(event.relative_error)}"]
+    words = [f"{count(event.samples_done)} samples", f"error {percent(event.relative_error)}"]
     if event.frames is not None:
         words.insert(0, f"{event.frames.done} of {event.frames.total} frames")
     if event.predicted_seconds is not None and not event.state.ended:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from penumbra_client.cli.progress import duration, percent
+from penumbra_client.cli.progress import count, duration, percent
 
 LEAST_CELLS: Final = 12
 MOST_CELLS: Final = 48
@@ -45,7 +45,7 @@ def _end(end: QuotedEnd) -> str:
         error = f", relative error {percent(end.relative_error)}{_percents(end.relative_error_interval)}"
     return (
         f"{_least(end.seconds_interval)}{duration(end.seconds)}{_durations(end.seconds_interval)} of tracing, "
-        f"{_least(end.samples_interval)}{end.samples:.4g} samples a pixel{error}; "
+        f"{_least(end.samples_interval)}{count(end.samples)} samples a pixel{error}; "
         f"{_REASONS.get(end.reason, str(end.reason))} will stop it"
     )
 

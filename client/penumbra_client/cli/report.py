@@ -10,7 +10,7 @@ from pathlib import Path
 from penumbra_scene.job import Interval, JobStatus, StopReason
 from penumbra_scene.receipt import AdaptiveReport, Receipt
 
-from penumbra_client.cli.progress import duration, percent
+from penumbra_client.cli.progress import count, duration, percent
 from penumbra_client.results import FRAMES, OF_SEQUENCE, RESULTS
 
 
@@ -23,15 +23,10 @@ def error_text(error: float | None, interval: Interval | None) -> str:
     return f"{text} ({share} interval {percent(interval.low)} to {percent(interval.high)})"
 
 
-def _count(samples: float) -> str:
-    """Pixels may differ in theirs, so that their mean is no whole number."""
-    return f"{samples:.4g}" if samples < 10_000 else f"{samples:,.0f}"
-
-
 def print_fetched(job: JobStatus, paths: Mapping[str, Path]) -> None:
     """The achieved error of a service's job, and where its files are."""
     error = error_text(job.relative_error, job.relative_error_interval)
-    spent = f"{_count(job.samples_done)} samples a pixel in {duration(job.seconds)}"
+    spent = f"{count(job.samples_done)} samples a pixel in {duration(job.seconds)}"
     if job.frames is not None:
         spent = f"{job.frames.done} of {job.frames.total} frames, {spent}"
     print(f"job {job.id}: {spent}, relative error {error}{_ended(job.stop_reason)}")
@@ -43,9 +38,7 @@ def print_fetched(job: JobStatus, paths: Mapping[str, Path]) -> None:
 def print_receipt(receipt: Receipt, folder: Path) -> None:
     """The same of a render in this process."""
     error = error_text(receipt.error.relative_error, receipt.error.relative_error_interval)
-    spent = (
-        f"{_count(receipt.samples)} samples a pixel in {duration(receipt.stages.trace.seconds)} of tracing"
-    )
+    spent = f"{count(receipt.samples)} samples a pixel in {duration(receipt.stages.trace.seconds)} of tracing"
     print(f"{receipt.name}: {spent}, relative error {error}{_ended(receipt.stop_reason)}")
     if receipt.adaptive is not None:
         print(f"adaptive: {_adaptive_text(receipt.adaptive)}")
@@ -68,7 +61,7 @@ def print_frames(receipts: Sequence[Receipt], folder: Path, as_json: bool, begun
         error = percent(receipt.error.relative_error)
         spent = duration(receipt.stages.trace.seconds)
         print(
-            f"frame {receipt.frame}: {_count(receipt.samples)} samples a pixel in {spent}, relative error {error}"
+            f"frame {receipt.frame}: {count(receipt.samples)} samples a pixel in {spent}, relative error {error}"
         )
     files = {name: folder / file for name, file in OF_SEQUENCE.items() if (folder / file).exists()}
     _print_paths({"frames": folder / FRAMES, **files})
