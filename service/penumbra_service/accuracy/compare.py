@@ -22,7 +22,7 @@ from penumbra_scene.check import check_scene, scene_hash
 from penumbra_scene.scene import Scene
 from penumbra_scene.settings import Stop
 
-from penumbra_service.accuracy.reference import Picture, Reference, picture_of, relmse_ref
+from penumbra_service.accuracy.reference import Picture, Reference, own_relmse, picture_of, relmse_ref
 from penumbra_service.engine.protocol import Engine
 from penumbra_service.engine.runner import JobRunner, RenderTask, RunResult
 from penumbra_service.engine.task import RunFailedError
@@ -52,10 +52,13 @@ class Measured:
     samples: float
     """A pixel, on average, those that only decided included."""
     seconds: float
-    relmse_ref: float
-    """Mean of (m - ref)^2 / (ref^2 + 0.01), less what the reference's own variance adds."""
+    relmse_ref: float | None
+    """Mean of (m - ref)^2 / (ref^2 + 0.01), less what the reference's own variance adds; None: so small that the reference
+    cannot tell it from nothing."""
     relmse: float | None
     """As the render estimates it from itself."""
+    relmse_ref_below: float | None = None
+    """What it is below, where the reference tells no more."""
 
 
 @dataclass
@@ -68,23 +71,26 @@ class Curve:
     """Why there are none."""
 
     @property
+    def told(self) -> list[tuple[float, float]]:
+        """(seconds, relmse_ref) of the points whose error the reference can tell."""
+        return [(p.seconds, p.relmse_ref) for p in self.points if p.relmse_ref is not None and p.seconds > 0]
+
+    @property
     def slope(self) -> float | None:
-        """Of log relmse_ref against log seconds, least squares; -1 is plain Monte Carlo."""
-        known = [p for p in self.points if p.relmse_ref > 0 and p.seconds > 0]
-        if len(known) < 2:
+        """Of log relmse_ref against log seconds, least squares; -1 is plain Monte Carlo. None for fewer than two points."""
+        if len(self.told) < 2:
             return None
-        x = np.log([p.seconds for p in known])
-        return float(np.polyfit(x, np.log([p.relmse_ref for p in known]), 1)[0])
+        seconds, errors = zip(*self.told, strict=True)
+        return float(np.polyfit(np.log(seconds), np.log(errors), 1)[0])
 
     def seconds_to(self, relmse: float) -> float | None:
         """Where the curve, straight between its points on both logarithms, meets an error; beyond its last point
         as it fell there. None for a curve that does not fall, or that begins below."""
-        known = [p for p in self.points if p.relmse_ref > 0]
-        for a, b in pairwise(known):
-            last = b is known[-1]
-            if a.relmse_ref > b.relmse_ref and (b.relmse_ref <= relmse or last) and a.relmse_ref >= relmse:
-                share = math.log(a.relmse_ref / relmse) / math.log(a.relmse_ref / b.relmse_ref)
-                return float(a.seconds * (b.seconds / a.seconds) ** share)
+        for (before, a), (after, b) in pairwise(self.told):
+            last = (after, b) == self.told[-1]
+            if a > b and (b <= relmse or last) and a >= relmse:
+                share = math.log(a / relmse) / math.log(a / b)
+                return float(before * (after / before) ** share)
         return None
 
 
@@ -112,13 +118,15 @@ class Comparison:
         return next(iter(named or drawn), None)
 
     def gain(self, curve: Curve) -> float | None:
-        """Its seconds over the baseline's to the error that the baseline reaches with its most samples."""
-        base = self.baseline
-        if base is None:
+        """Its seconds over the baseline's to the error that the baseline reaches with its most samples, of those errors that
+        the reference can tell; None where it does not get there, or the baseline has none."""
+        if self.baseline is None or not self.baseline.told:
             return None
-        target = base.points[-1].relmse_ref
+        seconds, target = self.baseline.told[-1]
+        if curve is self.baseline:
+            return 1.0
         ours = curve.seconds_to(target)
-        return None if ours is None else ours / base.points[-1].seconds
+        return None if ours is None else ours / seconds
 
 
 Say = Callable[[str], None]
@@ -160,7 +168,7 @@ class Comparer:
             height=film.height,
             device=", ".join(d.name for d in self._engine.usable()),
             reference_samples=reference.samples,
-            reference_relmse=relmse_ref(truth, truth, less_reference=False, of_variance=True),
+            reference_relmse=own_relmse(truth),
             curves=curves,
         )
 
@@ -180,11 +188,13 @@ class Comparer:
         record = result.record
         last = record.points[-1] if record.points else None
         known = last is not None and math.isfinite(last.relmse)
+        told = relmse_ref(picture, truth)
         return Measured(
             samples=float(picture.samples),
             seconds=record.trace_seconds / max(len(record.devices), 1),
-            relmse_ref=relmse_ref(picture, truth),
+            relmse_ref=told.relmse if told.known else None,
             relmse=last.relmse if known and last is not None else None,
+            relmse_ref_below=None if told.known else told.bound,
         )
 
     def render(self, scene: Scene) -> tuple[Picture, RunResult]:
@@ -278,7 +288,9 @@ def write_numbers(found: Comparison, out: Path) -> None:
     (out / "compare.json").write_text(json.dumps(as_json(found), indent=1) + "\n", encoding="utf-8")
     with (out / "compare.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["sampler", "adaptive", "samples", "seconds", "relmse_ref", "relmse"])
+        writer.writerow(
+            ["sampler", "adaptive", "samples", "seconds", "relmse_ref", "relmse", "relmse_ref_below"]
+        )
         writer.writerows(_rows(found))
 
 
@@ -286,4 +298,5 @@ def _rows(found: Comparison) -> Iterator[list[Any]]:
     for curve in found.curves:
         for p in curve.points:
             kind = "on" if curve.setting.adaptive else "off"
-            yield [curve.setting.sampler, kind, p.samples, p.seconds, p.relmse_ref, p.relmse]
+            errors = [p.relmse_ref, p.relmse, p.relmse_ref_below]
+            yield [curve.setting.sampler, kind, p.samples, p.seconds, *errors]

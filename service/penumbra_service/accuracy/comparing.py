@@ -14,6 +14,7 @@ from penumbra_service.accuracy.compare import (
     Comparer,
     Comparison,
     Curve,
+    Measured,
     Say,
     Setting,
     settings_of,
@@ -92,6 +93,8 @@ def in_words(found: Comparison, out: Path) -> str:
     lines += [_line(found, curve) for curve in found.curves]
     if base is not None:
         lines.append(f"`of the seconds`: to the error of {base.setting.name} with its most samples")
+    if any(point.relmse_ref is None for curve in found.curves for point in curve.points):
+        lines.append("a longer reference tells smaller errors: --reference N")
     return "\n".join([*lines, f"results in {out}"])
 
 
@@ -99,10 +102,30 @@ def _line(found: Comparison, curve: Curve) -> str:
     if not curve.points:
         return f"{curve.setting.name:20} left out: {curve.left_out}"
     last = curve.points[-1]
-    gain = found.gain(curve)
-    share = "never" if gain is None else f"{gain:.2f}"
-    slope = "" if curve.slope is None else f"slope {curve.slope:.2f}"
     return (
-        f"{curve.setting.name:20} relMSE {last.relmse_ref:.3g} after {last.samples:.0f} samples, {last.seconds:.2f} s; "
-        f"{slope}; {share} of the seconds"
+        f"{curve.setting.name:20} relMSE {_error(last)} after {last.samples:.0f} samples, {last.seconds:.2f} s; "
+        f"{_slope(curve)}; {_share(found, curve)}"
     )
+
+
+def _error(point: Measured) -> str:
+    if point.relmse_ref is not None:
+        return f"{point.relmse_ref:.3g}"
+    return f"below {point.relmse_ref_below:.2g}, which is as little as the reference can tell,"
+
+
+def _slope(curve: Curve) -> str:
+    if curve.slope is not None:
+        return f"slope {curve.slope:.2f}"
+    if len(curve.points) < 2:
+        return "no slope of one number of samples"
+    return "no slope: the reference can tell fewer than two of its errors"
+
+
+def _share(found: Comparison, curve: Curve) -> str:
+    gain = found.gain(curve)
+    if gain is not None:
+        return f"{gain:.2f} of the seconds"
+    if found.baseline is None or not found.baseline.told or not curve.told:
+        return "seconds cannot be compared"
+    return "never as little error"

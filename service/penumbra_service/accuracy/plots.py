@@ -76,19 +76,24 @@ def label_seconds(axis: Any) -> None:
 
 
 def _draw(axes: Any, curve: Curve) -> None:
-    known = [p for p in curve.points if p.relmse_ref > 0]
-    if not known:
+    """What the reference can tell as a line; what it cannot as open triangles at the bound, pointing down."""
+    if not curve.points:
         return
     slope = "" if curve.slope is None else f"{curve.slope:.2f}"
-    axes.plot(
-        [p.seconds for p in known],
-        [p.relmse_ref for p in known],
+    line = axes.plot(
+        [seconds for seconds, _ in curve.told],
+        [error for _, error in curve.told],
         marker="s" if curve.setting.adaptive else "o",
         markersize=4,
         linestyle="--" if curve.setting.adaptive else "-",
         color=COLOURS.get(curve.setting.sampler),
         label=f"{curve.setting.name}  {slope}",
-    )
+    )[0]
+    below = [(p.seconds, p.relmse_ref_below) for p in curve.points if p.relmse_ref_below]
+    if below:
+        axes.plot(
+            *zip(*below, strict=True), marker="v", linestyle="", fillstyle="none", color=line.get_color()
+        )
 
 
 def plot_pictures(found: Comparison, path: Path, columns: int = 5) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from penumbra_service.engine.snapshot import kernel_hash
 from penumbra_service.engine.task import RunResult
 from penumbra_service.film.error import EPSILON
 
+SURE: Final = 2.0
+"""Standard deviations from which an error counts as told by a reference: about 95 %."""
 SEED: Final = 0x5265_6665_7265_6E63
 """Of references: no render that is measured against one should share its samples."""
 
@@ -50,18 +53,40 @@ def picture_of(result: RunResult) -> Picture:
     )
 
 
-def relmse_ref(
-    picture: Picture, truth: Picture, *, less_reference: bool = True, of_variance: bool = False
-) -> float:
-    """Mean over pixels and R G B of (m - ref)^2 / (ref^2 + 0.01).
+@dataclass(frozen=True)
+class Told:
+    """An error against a reference."""
 
-    The reference errs as well: since it is independent of the picture, its variance adds V_ref / (ref^2 + 0.01) on
-    average, which is taken off again. of_variance: of the picture's own V in place of (m - ref)^2.
+    relmse: float
+    """Without bias, so that it may be negative where it is far below the reference's own."""
+    deviation: float
+    """Standard, of `relmse`: pixels are independent of each other."""
+
+    @property
+    def known(self) -> bool:
+        """Whether it is told apart from nothing, by SURE deviations."""
+        return self.relmse > SURE * self.deviation
+
+    @property
+    def bound(self) -> float:
+        """What the true one is most likely below."""
+        return max(self.relmse, 0.0) + SURE * self.deviation
+
+
+def relmse_ref(picture: Picture, truth: Picture) -> Told:
+    """Mean over pixels and R G B of ((m - ref)^2 - V_ref) / (ref^2 + 0.01).
+
+    The reference errs as well: since it is independent of the picture, its variance V_ref adds to the square on average,
+    and is taken off again.
     """
-    square = picture.variance if of_variance else (picture.rgb - truth.rgb) ** 2
-    if less_reference:
-        square = square - np.nan_to_num(truth.variance)
-    return float(np.mean(square / (truth.rgb**2 + EPSILON)))
+    square = (picture.rgb - truth.rgb) ** 2 - np.nan_to_num(truth.variance)
+    each = np.mean(square / (truth.rgb**2 + EPSILON), axis=-1)
+    return Told(float(each.mean()), float(each.std() / math.sqrt(each.size)))
+
+
+def own_relmse(picture: Picture) -> float:
+    """The error of a picture as its own variance tells it: mean of V / (m^2 + 0.01)."""
+    return float(np.mean(picture.variance / (picture.rgb**2 + EPSILON)))
 
 
 Render = Callable[[Scene], tuple[Picture, RunResult]]

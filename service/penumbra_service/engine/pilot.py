@@ -11,7 +11,7 @@ import queue
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +20,7 @@ from penumbra_scene.check import scene_hash
 from penumbra_scene.scene import Scene
 
 from penumbra_service.engine.desk import LeaseDesk
-from penumbra_service.engine.launch_cost import Cost, Work, fit, joined
+from penumbra_service.engine.launch_cost import Rounds, Work
 from penumbra_service.engine.protocol import (
     DeviceDescription,
     Engine,
@@ -44,6 +44,7 @@ from penumbra_service.film.pilot import (
     blocks_of,
     choose_blocks,
     most_blocks,
+    most_samples,
     pilot_point,
     round_ends,
 )
@@ -63,6 +64,9 @@ OVERTIME: Final = 1.25
 """A round is begun only if it should be over within so many times that."""
 LEAST_BLOCKS: Final = 12
 """Rounds of fewer are not worth their time."""
+GO_ON_SECONDS: Final = 1.0
+"""A pilot that is through sooner goes on with more samples: a small picture's is over in a tenth of a second, which tells
+nothing of the speed at which a job goes on, and little of a low error."""
 PROBE_BLOCKS: Final = 16
 """Are rendered first, to learn how many can be afforded."""
 PACE_SECONDS: Final = 0.4
@@ -85,32 +89,6 @@ class PilotTask:
     scene_folder: Path | None = None
     time: float = 0.0
     decode: DecodeLimits = DEFAULTS
-
-
-@dataclass
-class _Pace:
-    """Of one device."""
-
-    leases: list[Work] = field(default_factory=list)
-    """Of the newest round, or of whole tiles."""
-    rounds: list[Work] = field(default_factory=list)
-    """The earlier ones that it had leases of."""
-
-    @property
-    def samples_per_second(self) -> float:
-        """In the newest round, with all that short leases cost."""
-        newest = joined(self.leases)
-        return newest.samples / newest.seconds if self.leases else 0.0
-
-    @property
-    def cost(self) -> Cost:
-        return fit([*self.rounds, joined(self.leases)] if self.leases else self.rounds)
-
-    def begin_round(self) -> None:
-        """What was measured so far is of an earlier one."""
-        if self.leases:
-            self.rounds.append(joined(self.leases))
-            self.leases = []
 
 
 class PilotRunner:
@@ -139,7 +117,7 @@ class PilotRunner:
         """The same of the blocks that share a level, where the scene's samples are spread by error."""
         self._untrusted = 0
         """Pixels of the newest round whose error bar is not to be trusted."""
-        self._paces: dict[str, _Pace] = {}
+        self._paces: dict[str, Rounds] = {}
         """Of each device."""
         self._pending = 0
         """Samples that the round lacks."""
@@ -219,12 +197,26 @@ class PilotRunner:
             chosen = self._within_time(chosen, end - done) if done else chosen
             if not chosen:
                 break
-            if self._timing:
-                self._begin_round()
-            self._render(chosen, done, end)
-            self._look(chosen, end)
+            self._round(chosen, done, end)
             done = end
+        if chosen and rounds == len(ends):
+            self._go_on(chosen, done)
         self._conclude()
+
+    def _round(self, tiles: list[Tile], done: int, end: int) -> None:
+        if self._timing:
+            self._begin_round()
+        self._render(tiles, done, end)
+        self._look(tiles, end)
+
+    def _go_on(self, tiles: list[Tile], done: int) -> None:
+        """Rounds as long as all before, while there is time."""
+        while done < most_samples(self._layout.replicates):
+            left = GO_ON_SECONDS - self._elapsed()
+            if self._samples_of(tiles, done) > left * self._rate():
+                break
+            self._round(tiles, done, 2 * done)
+            done *= 2
 
     def _begin_round(self) -> None:
         for pace in self._paces.values():
@@ -289,7 +281,7 @@ class PilotRunner:
         self._start_clock()
         samples = sum(node.sums.size * node.sample_count for node in result.nodes)
         if self._timing:
-            pace = self._paces.setdefault(device.id, _Pace())
+            pace = self._paces.setdefault(device.id, Rounds())
             pace.leases.append(Work(len(result.nodes), samples, max(result.seconds, 1e-9)))
         self._pending -= samples
         use = self._result.devices.setdefault(
@@ -379,10 +371,12 @@ class PilotRunner:
         return saving if saving.pays else Saving()
 
     def _rate_deviation(self) -> float:
-        """From the spread of seconds a sample over leases, which are of different blocks."""
+        """From the spread of seconds a sample over leases, which are of different blocks, and from
+        what rounds deviate by from their cost."""
         costs = [
             pace.cost.seconds_per_sample(lease) for pace in self._paces.values() for lease in pace.leases
         ]
         if len(costs) < 2:
             return 0.0
-        return statistics.stdev(costs) / statistics.fmean(costs) / math.sqrt(len(costs))
+        over_leases = statistics.stdev(costs) / statistics.fmean(costs) / math.sqrt(len(costs))
+        return math.hypot(over_leases, *(pace.unsteadiness for pace in self._paces.values()))

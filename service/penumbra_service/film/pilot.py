@@ -23,6 +23,8 @@ LEAST_SAMPLES: Final = 16
 """A pixel: of the first round."""
 ROUNDS: Final = 4
 """Each doubles the samples: 16, 32, 64, 128."""
+MOST_SAMPLES: Final = 16_384
+"""A pixel: of a picture of a few pixels, whose rounds take no time."""
 
 
 def blocks_of(window: Tile) -> list[Tile]:
@@ -56,6 +58,11 @@ def round_ends(replicates: int) -> list[int]:
     """Samples a replicate at the end of each round."""
     first = max(LEAST_SAMPLES // replicates, 1)
     return [first << i for i in range(ROUNDS)]
+
+
+def most_samples(replicates: int) -> int:
+    """Samples a replicate at the end of the last round that any pilot takes: a first one's, doubled."""
+    return round_ends(replicates)[0] * (MOST_SAMPLES // LEAST_SAMPLES)
 
 
 def affordable(

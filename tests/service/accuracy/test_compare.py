@@ -24,8 +24,11 @@ from penumbra_service.accuracy.compare import (
     Setting,
     as_set,
     samples_in,
+    write_numbers,
 )
-from penumbra_service.accuracy.reference import Picture, Reference, relmse_ref
+from penumbra_service.accuracy.comparing import in_words
+from penumbra_service.accuracy.plots import plot_curves
+from penumbra_service.accuracy.reference import Picture, Reference, own_relmse, relmse_ref
 from penumbra_service.commands import CommandError
 
 SCENE: dict[str, Any] = {
@@ -53,13 +56,23 @@ def test_the_error_against_a_reference_leaves_out_the_references_own() -> None:
     """Oracle: V / (ref^2 + 0.01) with ref = 2."""
     random = np.random.default_rng(1)
     truth = noisy(random, 0.05)
-    errors = [relmse_ref(noisy(random, 0.1), truth) for _ in range(50)]
-    assert np.mean(errors) == pytest.approx(0.1**2 / (4 + 0.01), rel=0.01)
-    plain = [relmse_ref(noisy(random, 0.1), truth, less_reference=False) for _ in range(50)]
-    assert np.mean(plain) == pytest.approx((0.1**2 + 0.05**2) / (4 + 0.01), rel=0.01)
-    assert relmse_ref(truth, truth, less_reference=False, of_variance=True) == pytest.approx(
-        0.05**2 / 4.01, rel=0.01
-    )
+    told = [relmse_ref(noisy(random, 0.1), truth) for _ in range(50)]
+    assert np.mean([t.relmse for t in told]) == pytest.approx(0.1**2 / (4 + 0.01), rel=0.01)
+    assert all(t.known and t.deviation < 0.05 * t.relmse for t in told)
+    assert own_relmse(truth) == pytest.approx(0.05**2 / 4.01, rel=0.01)
+
+
+def test_an_error_far_below_the_references_own_is_bounded_and_never_negative() -> None:
+    """Oracle: E[(m - ref)^2 - V_ref] / 4.01 = V / 4.01, whatever the reference; its deviation is their spread."""
+    random = np.random.default_rng(2)
+    real = 0.0005**2 / 4.01
+    told = [relmse_ref(noisy(random, 0.0005), noisy(random, 0.02)) for _ in range(400)]
+    readings = np.array([t.relmse for t in told])
+    assert (readings < 0).mean() > 0.3
+    assert readings.std() == pytest.approx(np.mean([t.deviation for t in told]), rel=0.2)
+    assert all(t.bound > 0 for t in told)
+    assert np.mean([real < t.bound for t in told]) > 0.95
+    assert np.mean([t.known for t in told]) < 0.05
 
 
 def curve(name: str, theta: float, rate: float, scale: float = 1.0) -> Curve:
@@ -118,6 +131,34 @@ def test_a_reference_is_rendered_once_and_again_where_it_broke(
     kept.get(scene, 0.0, render)
     kept.get(scene, 0.0, render)
     assert len(made) == 5, "a folder in a reference's place is replaced"
+
+
+def test_what_the_reference_cannot_tell_is_said_in_words_and_draws_no_line(tmp_path: Path) -> None:
+    dark = Curve(
+        Setting("sobol", False), [Measured(16, 1.0, 0.01, None), Measured(64, 4.0, None, None, 2.5e-4)]
+    )
+    base = curve("independent", 1.0, 0.1)
+    found = Comparison("x", "h", 4, 3, "d", 128, 1e-3, [base, dark])
+    assert dark.told == [(1.0, 0.01)]
+    assert dark.slope is None
+    assert found.gain(dark) is None
+    lines = in_words(found, tmp_path).splitlines()
+    (said,) = (line for line in lines if line.startswith("sobol"))
+    assert "relMSE below 0.00025" in said
+    assert "no slope: the reference can tell fewer than two" in said
+    assert "seconds cannot be compared" not in said
+    assert any("--reference" in line for line in lines)
+    nothing = Curve(Setting("sobol", False), [Measured(64, 4.0, None, None, 2.5e-4)])
+    said = in_words(Comparison("x", "h", 4, 3, "d", 1, 1e-3, [nothing]), tmp_path).splitlines()[1]
+    assert "no slope of one number of samples" in said
+    assert "seconds cannot be compared" in said
+    write_numbers(found, tmp_path)
+    kept = json.loads((tmp_path / "compare.json").read_text())["curves"][1]["points"][1]
+    assert (kept["relmse_ref"], kept["relmse_ref_below"]) == (None, 2.5e-4)
+    row = list(csv.DictReader((tmp_path / "compare.csv").open()))[-1]
+    assert (row["relmse_ref"], row["relmse_ref_below"]) == ("", "0.00025")
+    plot_curves(found, tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
 def run(*words: str) -> int:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from penumbra_service.engine.launch_cost import LEAST_SHARE, Cost, Work, fit, joined
+from penumbra_service.engine.launch_cost import LEAST_SHARE, Cost, Work, fit, joined, unsteadiness
 
 NODE, SAMPLE = 2e-4, 2.5e-8
 
@@ -46,3 +47,16 @@ def test_samples_cost_something_whatever_was_measured() -> None:
 
 def test_leases_of_a_round_are_one() -> None:
     assert joined([Work(2, 30, 0.5), Work(3, 50, 0.25)]) == Work(5, 80, 0.75)
+
+
+def test_an_unsteady_machine_makes_a_rate_less_certain() -> None:
+    """Oracle: rounds whose seconds deviate by 20 % at random, 400 times over."""
+    random = np.random.default_rng(7)
+    counts = (4, 4, 8, 16, 32, 64, 128)
+    assert unsteadiness(rounds(counts)) == pytest.approx(0.0, abs=1e-9)
+    told = []
+    for _ in range(400):
+        noisy = [Work(w.nodes, w.samples, w.seconds * random.normal(1, 0.2)) for w in rounds(counts)]
+        told.append(unsteadiness(noisy))
+    assert np.sqrt(np.mean(np.square(told))) == pytest.approx(0.2, rel=0.15)
+    assert unsteadiness(rounds((4, 8, 16))) == 0.0, "two rounds that count, and two costs"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,8 @@ from penumbra_service.engine.local import LocalEngine
 from penumbra_service.engine.pilot import PilotRunner, PilotTask
 from penumbra_service.engine.runner import JobRunner, RenderTask, RunResult
 from penumbra_service.engine.task import RunFailedError
+from penumbra_service.film import pilot as film_pilot
+from penumbra_service.film.predict import error_at
 from penumbra_service.jobs.pilot import PilotResult
 from penumbra_service.jobs.quote import build_quote
 
@@ -45,6 +48,7 @@ def engine(device: Device) -> Iterator[LocalEngine]:
 def _time_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a pilot finds must not hang on how busy the machine is."""
     monkeypatch.setattr(pilot_module, "PILOT_SECONDS", 1e4)
+    monkeypatch.setattr(pilot_module, "GO_ON_SECONDS", 0.0)
 
 
 def scene(**sections: Any) -> Scene:
@@ -168,6 +172,22 @@ def test_short_of_time_a_pilot_takes_fewer_blocks(
     assert found.blocks == 1
     assert found.blocks_in_picture == 24
     assert any("too slow" in warning for warning in told.warnings)
+
+
+def test_with_time_left_a_pilot_goes_on_and_foretells_what_it_would_have(
+    engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A small picture's planned rounds take a tenth of a second, which is no measure of a rate."""
+    _, short = quote(engine, tmp_path / "short")
+    monkeypatch.setattr(pilot_module, "GO_ON_SECONDS", 1e4)
+    monkeypatch.setattr(film_pilot, "MOST_SAMPLES", 1024)
+    told, long = quote(engine, tmp_path / "long")
+    assert [p.samples for p in long.points] == [16, 32, 64, 128, 256, 512, 1024]
+    assert [p.relmse for p in long.points[:4]] == [p.relmse for p in short.points]
+    assert told.pilot.samples == 1024
+    foretold = error_at(short.points, 1024)
+    assert foretold is not None
+    assert foretold[1] <= math.sqrt(long.points[-1].relmse) <= foretold[2]
 
 
 def test_a_scene_that_cannot_be_loaded_fails_the_quote(engine: LocalEngine, tmp_path: Path) -> None:
