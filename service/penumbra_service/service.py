@@ -20,6 +20,7 @@ from penumbra_scene.quote import Quote
 from penumbra_service.housekeeping import QUOTE_PREFIX, Housekeeper
 from penumbra_service.images.assets import FolderAssets
 from penumbra_service.images.limits import DecodeLimits
+from penumbra_service.job_limits import within
 from penumbra_service.job_queue import ACTIVE, OPEN, WAITING, JobQueue
 from penumbra_service.running import Halt, Runner
 from penumbra_service.settings import Settings
@@ -153,7 +154,7 @@ class RenderService:
         try:
             self.settings.work_folder.mkdir(parents=True, exist_ok=True)
             with TemporaryDirectory(prefix=QUOTE_PREFIX, dir=self.settings.work_folder) as folder:
-                return self.runner.quote(request, Path(folder))
+                return self.runner.quote(within(request, self.settings), Path(folder))
         finally:
             self._quoting.release()
 
@@ -209,10 +210,10 @@ class RenderService:
         return row
 
     def request(self, job_id: str) -> JobRequest:
-        """What was asked for. Raises NoSuchJobError."""
+        """What is rendered: what was asked for, with the end that this service sets it. Raises NoSuchJobError."""
         text = self.jobs.request(job_id).encode()
         # Its length was checked when it came; as it is kept, numbers may be longer (1e9 is 1000000000.0).
-        return job_from_json(parse_json(text, len(text)))
+        return within(job_from_json(parse_json(text, len(text))), self.settings)
 
     def work_folder(self, job_id: str) -> Path:
         """Where a job keeps snapshots and unfinished files."""

@@ -83,6 +83,10 @@ class Settings:
     """Jobs that share the devices; 0: one on this machine's devices, 8 on a farm."""
     max_queued_jobs: int = 10_000
     """Jobs that may wait."""
+    max_job_samples: int = 0
+    """Samples of all pixels and frames of a job that its stop rule may allow; 0: any number."""
+    max_picture_seconds: float = 0.0
+    """Seconds of tracing that a picture which stops at a time or an error may take; 0: any number."""
     keep_days: float = 0.0
     """Days after its end that a job with all its files is removed; 0: never."""
     keep_assets_days: float = 30.0
@@ -101,6 +105,8 @@ class Settings:
             self.max_queued_jobs >= 1, "max_queued_jobs", self.max_queued_jobs, "a whole number of at least 1"
         )
         _require(self.jobs_at_once >= 0, "jobs_at_once", self.jobs_at_once, "a whole number of at least 0")
+        for name in ("max_job_samples", "max_picture_seconds"):
+            _require(getattr(self, name) >= 0, name, getattr(self, name), "a number of at least 0")
         for name in ("keep_days", "keep_assets_days", "keep_decoded_days"):
             _require(getattr(self, name) >= 0, name, getattr(self, name), "a number of at least 0")
         # A service says every few hours what it uses.

@@ -26,6 +26,8 @@ from starlette.concurrency import run_in_threadpool
 
 from penumbra_service.api.problems import refuse
 from penumbra_service.images.assets import FolderAssets
+from penumbra_service.job_limits import beyond
+from penumbra_service.settings import Settings
 
 T = TypeVar("T")
 _OF_SCENES = frozenset({"version", "camera", "shapes"})
@@ -75,9 +77,9 @@ def _check_media_type(request: Request) -> None:
         raise refuse(415, detail)
 
 
-def parse_submission(body: bytes, limit: int, assets: FolderAssets) -> Submission:
+def parse_submission(body: bytes, settings: Settings, assets: FolderAssets) -> Submission:
     """A job from {"scene": ...}, or from a bare scene. Raises ProblemError."""
-    document = parse_json(body, limit)
+    document = parse_json(body, settings.max_body_bytes)
     bare = (
         isinstance(document, dict) and "scene" not in document and not document.keys().isdisjoint(_OF_SCENES)
     )
@@ -85,7 +87,10 @@ def parse_submission(body: bytes, limit: int, assets: FolderAssets) -> Submissio
         scene_from_json(document)  # so that pointers fit what was sent
         document = {"scene": document}
     request = job_from_json(document)
-    check_assets(request.resolved_scene(), assets, "" if bare else "/scene")
+    base = "" if bare else "/scene"
+    if too_much := beyond(request, settings, base):
+        raise ProblemError(invalid_document(too_much, "job"))
+    check_assets(request.resolved_scene(), assets, base)
     text = json.dumps(document, separators=(",", ":"))
     return Submission(request, text, _digest(document))
 
@@ -99,9 +104,9 @@ def parse_change(body: bytes, limit: int) -> JobChange:
         raise ProblemError(problem_from_validation(error, document, "change")) from None
 
 
-def parse_for_validation(body: bytes, limit: int, assets: FolderAssets) -> Scene:
+def parse_for_validation(body: bytes, settings: Settings, assets: FolderAssets) -> Scene:
     """The scene as it would be rendered, from what would be submitted. Raises ProblemError."""
-    return parse_submission(body, limit, assets).request.resolved_scene()
+    return parse_submission(body, settings, assets).request.resolved_scene()
 
 
 def _digest(document: Any) -> str:

@@ -52,8 +52,8 @@ async def submit(
     the same submission sent twice makes one job; another body under the same key is refused (409).
     """
     service = service_of(request)
-    limit = service.settings.max_body_bytes
-    sent = await read_json(request, limit, lambda body: parse_submission(body, limit, service.assets))
+    limit, settings = service.settings.max_body_bytes, service.settings
+    sent = await read_json(request, limit, lambda body: parse_submission(body, settings, service.assets))
     job = new_job(sent.request, sent.text, sent.digest, owner_of(request), idempotency_key)
     row, created = await run_in_threadpool(service.submit, job)
     response.headers["Location"] = f"/v1/jobs/{row.id}"
@@ -70,7 +70,7 @@ async def validate(request: Request) -> Validation:
     limit = service.settings.max_body_bytes
 
     def check(body: bytes) -> Validation:
-        scene = parse_for_validation(body, limit, service.assets)
+        scene = parse_for_validation(body, service.settings, service.assets)
         findings = [
             Finding(pointer=found.pointer, message=found.message)
             for found in check_scene(scene)

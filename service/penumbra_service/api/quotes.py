@@ -27,6 +27,6 @@ async def quote(request: Request) -> Quote:
     answer may take as long as that.
     """
     service = service_of(request)
-    limit = service.settings.max_body_bytes
-    sent = await read_json(request, limit, lambda body: parse_submission(body, limit, service.assets))
+    limit, settings = service.settings.max_body_bytes, service.settings
+    sent = await read_json(request, limit, lambda body: parse_submission(body, settings, service.assets))
     return await run_in_threadpool(service.quote, sent.request)

@@ -200,7 +200,7 @@ async def submit(request: Request) -> Response:
         text = await _document(form.get("document"), form.get("file"))
         action = form.get("action")
     try:
-        sent = await run_in_threadpool(parse_submission, text, limit, service.assets)
+        sent = await run_in_threadpool(parse_submission, text, service.settings, service.assets)
     except ProblemError as error:
         return await run_in_threadpool(_refused, request, text, error.problem)
     if action == "check":

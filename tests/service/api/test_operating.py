@@ -38,6 +38,53 @@ def test_a_full_queue_refuses_with_its_limit(
         assert (again.status_code, again.json()["id"]) == (202, first)
 
 
+@pytest.mark.parametrize("path", ["/v1/jobs", "/v1/validate", "/v1/quotes"])
+def test_a_job_beyond_the_operators_limits_is_refused_at_its_place(
+    settings: Settings, runner: Any, scene: dict[str, Any], path: str
+) -> None:
+    """64 samples of 8 x 6 pixels and 10 frames are 30,720."""
+    film = {"width": 8, "height": 6}
+    limited = replace(settings, max_job_samples=30_719, max_picture_seconds=60.0)
+    asked = {"scene": {**scene, "film": film, "stop": {"samples": 64}}, "frames": "1-10"}
+    with TestClient(create_app(limited, runner), base_url="http://127.0.0.1") as client:
+        refused = client.post(path, json=asked)
+        assert refused.status_code == 422
+        (error,) = refused.json()["errors"]
+        assert (error["pointer"], error["given"]) == (
+            "/scene/stop/samples",
+            "30720 over all pixels and frames",
+        )
+        assert "30719" in error["accepted"]
+        asked["stop"] = {"samples": 64, "seconds": 60.5}
+        pointers = [e["pointer"] for e in client.post(path, json=asked).json()["errors"]]
+        assert pointers == ["/stop/samples", "/stop/seconds"]
+        bare = client.post(path, json={**scene, "stop": {"seconds": 61}})
+        assert [e["pointer"] for e in bare.json()["errors"]] == ["/stop/seconds"]
+        asked["stop"] = {"samples": 63, "seconds": 60}
+        assert client.post(path, json=asked).status_code < 300
+
+
+def test_an_error_ends_at_the_operators_time_and_planned_samples_are_left_alone(
+    settings: Settings, runner: Any, scene: dict[str, Any], until: Any
+) -> None:
+    limited = replace(settings, max_picture_seconds=60.0)
+    ran: list[Task] = []
+    run = runner.run
+    runner.run = lambda task: (ran.append(task), run(task))[1]
+    with TestClient(create_app(limited, runner), base_url="http://127.0.0.1") as client:
+        for stop, ends in (
+            ({"relative_error": 0.01}, 60.0), ({"relative_error": 0.01, "seconds": 5}, 5.0), ({"samples": 7}, None),
+        ):  # fmt: skip
+            job = client.post("/v1/jobs", json={**scene, "stop": stop}).json()["id"]
+            kept = client.get(f"/v1/jobs/{job}/scene.json").json()["stop"]
+            assert kept["seconds"] == ends
+            until(lambda job=job: ran and ran[-1].job_id == job)
+            client.post(f"/v1/jobs/{job}/cancel")
+    stops = [task.request.resolved_scene().stop for task in ran]
+    assert [s.seconds for s in stops] == [60.0, 5.0, None]
+    assert stops[0].relative_error == 0.01
+
+
 def test_a_used_up_quota_refuses_new_jobs_and_says_what_was_used(
     settings: Settings, scene: dict[str, Any], until: Any
 ) -> None:
