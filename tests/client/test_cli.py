@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -11,8 +12,11 @@ from typing import Any
 import pytest
 from penumbra_client.cli import BUILT_IN, main, make_parser
 from penumbra_client.cli.progress import ProgressView, duration, percent
+from penumbra_client.cli.quote_view import print_quote
 from penumbra_scene.exits import Exit
 from penumbra_scene.job import ProgressEvent
+from penumbra_scene.quote import Quote
+from rich.console import Console
 
 SCENE = {"version": 1, "camera": {"type": "perspective"}, "shapes": [{"type": "sphere"}]}
 
@@ -256,6 +260,26 @@ def test_quote_says_at_least_where_there_is_no_upper_bound(
     assert fine.index("●") < fine.index("→")  # beyond the end of the axis
 
 
+@pytest.mark.parametrize("columns", [30, 50, 60, 80, 200])
+def test_numbers_of_a_quote_are_never_cut_off(columns: int) -> None:
+    """However long a render would take and however narrow the terminal."""
+    told = Quote.model_validate(QUOTE)
+    scaled = [
+        row.model_copy(update={
+            "samples": row.samples * 1e9,
+            "seconds": row.seconds * 1e6,
+            "seconds_interval": row.seconds_interval.model_copy(update={"low": 9e5, "high": None}),
+        })
+        for row in told.table
+    ]  # fmt: skip
+    out = io.StringIO()
+    console = Console(file=out, width=columns, color_system=None)
+    print_quote(told.model_copy(update={"table": tuple(scaled)}), console)
+    (line,) = [line for line in out.getvalue().splitlines() if line.lstrip().startswith("2 %")]
+    assert line.split()[2:12] == ["5.76e11", "≥", "131", "d", "23", "h", "10", "d", "10", "h"]
+    assert ("●" in line) == (columns >= 60)
+
+
 def test_quote_prints_json_for_programs(service: Any, scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     service.on("POST /v1/quotes", service.answer(QUOTE))
     assert main(["quote", scene, "--url", service.address, "--json"]) == Exit.OK
@@ -398,6 +422,11 @@ def test_commands_whose_packages_are_missing_are_explained(
         (60.0, "1:00 min"),
         (3599.0, "59:59 min"),
         (3661.4, "1:01:01 h"),
+        (59.97, "1:00 min"),
+        (86399.4, "23:59:59 h"),
+        (86400.0, "1 d"),
+        (273_600.0, "3 d 4 h"),
+        (1e9, "31.7 years"),
         (None, "?"),
     ],
 )

@@ -13,6 +13,10 @@ if TYPE_CHECKING:  # only a terminal sees a bar
 
 _LINE_STEP: Final = 0.25
 """Share of the work between two lines where there is no terminal."""
+DAY: Final = 86400.0
+"""Seconds."""
+YEARS_FROM: Final = 1000
+"""Days."""
 
 
 def count(samples: float) -> str:
@@ -26,14 +30,19 @@ def percent(error: float | None) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds as people write them."""
+    """Seconds as people write them: 12.3 s, 1:15 min, 2:03:00 h, 3 d 4 h, 27 years."""
     if seconds is None:
         return "?"
-    if seconds < 60:
+    if seconds < 59.95:
         return f"{seconds:.1f} s"
+    if seconds >= YEARS_FROM * DAY:
+        return f"{seconds / (365.25 * DAY):,.3g} years"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
+    if hours < 24:
+        return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
+    days, hours = divmod(round(seconds / 3600), 24)
+    return f"{days} d" + (f" {hours} h" if hours else "")
 
 
 def _numbers(event: ProgressEvent) -> str:

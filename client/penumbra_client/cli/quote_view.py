@@ -17,9 +17,12 @@ from penumbra_client.cli.progress import count, duration, percent
 
 LEAST_CELLS: Final = 12
 MOST_CELLS: Final = 48
-"""Of the axis."""
-NUMBERS_WIDTH: Final = 58
-"""What the other columns take, about."""
+"""Of the axis; a terminal too narrow for the least shows none."""
+GAP: Final = 2
+"""Columns between columns."""
+HEAD: Final = ("error", "samples", "seconds", "from", "to")
+MANY: Final = 1e9
+"""Samples from which three digits tell enough."""
 PAGE_WIDTH: Final = 100
 """Columns where there is no terminal."""
 OPEN_ROOM: Final = 2.0
@@ -34,7 +37,12 @@ def print_quote(quote: Quote, console: Console | None = None) -> None:
     console.print(f"{quote.name}: {_end(quote.end)}", highlight=False, soft_wrap=True)
     console.print(_made(quote), style="dim", highlight=False, soft_wrap=True)
     if quote.table:
-        console.print(_table(quote, min(max(console.width - NUMBERS_WIDTH, LEAST_CELLS), MOST_CELLS)))
+        rows = [_numbers(row) for row in quote.table]
+        width = _width(rows)
+        cells = min(console.width - width - GAP, MOST_CELLS)
+        # No number is cut off: a terminal that is narrower still wraps.
+        roomy = console if console.width >= width else Console(file=console.file, width=width)
+        roomy.print(_table(quote, rows, cells))
     for warning in quote.warnings:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
 
@@ -87,22 +95,42 @@ def _between(low: str, high: str) -> str:
     return "" if low == high else f" ({low} to {high})"
 
 
-def _table(quote: Quote, cells: int) -> Table:
+def _numbers(row: QuotedError) -> tuple[str, ...]:
+    """A cell under each word of HEAD."""
+    ends = row.seconds_interval
+    return (
+        percent(row.relative_error),
+        _least(row.samples_interval, "≥ ") + _samples(row.samples),
+        _least(ends, "≥ ") + duration(row.seconds),
+        duration(ends.low),
+        duration(ends.high),
+    )
+
+
+def _samples(number: float) -> str:
+    if number < MANY:
+        return f"{number:,.0f}"
+    digits, _, power = f"{number:.2e}".partition("e")
+    return f"{digits}e{int(power)}"
+
+
+def _width(rows: Sequence[Sequence[str]]) -> int:
+    """Of all columns of numbers, with the gap after each."""
+    return sum(max(map(len, column)) + GAP for column in zip(HEAD, *rows, strict=True))
+
+
+def _table(quote: Quote, rows: Sequence[Sequence[str]], cells: int) -> Table:
+    """Numbers, and an axis where it has room."""
     low, high = _span(quote.table)
-    table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
-    for name in ("error", "samples", "seconds", "from", "to"):
+    table = Table(box=None, header_style="bold", padding=(0, GAP, 0, 0))
+    for name in HEAD:
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column(_axis(low, high, cells), width=cells, no_wrap=True)
-    for row in quote.table:
-        table.add_row(
-            percent(row.relative_error),
-            _least(row.samples_interval, "≥ ") + f"{row.samples:,.0f}",
-            _least(row.seconds_interval, "≥ ") + duration(row.seconds),
-            duration(row.seconds_interval.low),
-            duration(row.seconds_interval.high),
-            _bar(row, low, high, cells),
-            style="bold" if row.relative_error == quote.stop.relative_error else "",
-        )
+    drawn = cells >= LEAST_CELLS
+    if drawn:
+        table.add_column(_axis(low, high, cells), width=cells, no_wrap=True)
+    for row, numbers in zip(quote.table, rows, strict=True):
+        bar = [_bar(row, low, high, cells)] if drawn else []
+        table.add_row(*numbers, *bar, style="bold" if row.relative_error == quote.stop.relative_error else "")
     return table
 
 
@@ -131,6 +159,8 @@ def _bar(row: QuotedError, low: float, high: float, cells: int) -> Text:
 
 
 def _axis(low: float, high: float, cells: int) -> Text:
-    """The ends of the axis; logarithmic."""
+    """The ends of the axis, one where there is no room for two; logarithmic."""
     left, right = duration(low), duration(high)
+    if len(left) + len(right) >= cells:
+        return Text(left[:cells])
     return Text(left + " " * max(cells - len(left) - len(right), 1) + right)

@@ -20,6 +20,11 @@ REASONS: Final = {
 }
 
 UNKNOWN: Final = "–"
+YEARS_FROM: Final = 1000
+"""Days from which years are told."""
+MANY: Final = 1e12
+"""From which a count is told in three digits and a power."""
+_RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def percent(share: float | None) -> str:
@@ -34,13 +39,15 @@ def percent(share: float | None) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """75.3 -> '1 min 15 s'."""
+    """75.3 -> '1 min 15 s', 1e9 -> '31.7 years'."""
     if seconds is None:
         return UNKNOWN
     if seconds < 0.0995:
         return f"{1000 * seconds:.0f} ms"
     if seconds < 9.95:
         return f"{seconds:.1f} s"
+    if seconds >= YEARS_FROM * 86400:
+        return f"{seconds / (365.25 * 86400):,.3g} years"
     whole = round(seconds)
     for size, unit, smaller, name in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
         if whole >= size:
@@ -65,6 +72,9 @@ def count(number: float | None) -> str:
         return UNKNOWN
     if number != int(number) and number < 100:
         return f"{number:.3g}"
+    if number >= MANY:
+        digits, _, power = f"{number:.2e}".partition("e")
+        return f"{digits} \u00d7 10{str(int(power)).translate(_RAISED)}"
     return f"{number:,.0f}".replace(",", "\u202f")
 
 

@@ -163,6 +163,7 @@ def test_percentages(share: float | None, text: str) -> None:
         (3600, "1 h"),
         (7260, "2 h 1 min"),
         (90000, "1 d 1 h"),
+        (1e9, "31.7 years"),
     ],
 )
 def test_durations(seconds: float | None, text: str) -> None:
@@ -185,7 +186,8 @@ def test_durations_under_an_axis_have_one_unit(seconds: float, text: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("number", "text"), [(None, "–"), (0, "0"), (88.25, "88.2"), (1234567, "1\u202f234\u202f567")]
+    ("number", "text"),
+    [(None, "–"), (0, "0"), (88.25, "88.2"), (1234567, "1\u202f234\u202f567"), (1.5e13, "1.50 × 10¹³")],
 )
 def test_counts(number: float | None, text: str) -> None:
     assert words.count(number) == text
