@@ -193,8 +193,9 @@ def _adaptive_page(found: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
     yield (
         f"Whole jobs on pictures of {SPREAD[0]} x {SPREAD[1]}, each to the stated relative error: processor seconds over those "
         "of `independent`, pilot and looking included. `independent` is rendered to twice the least "
-        "error, and told for the others by its exact law. In brackets: the pilot's samples a pixel, and the picture's. The aim "
-        "is a third for `sobol` with adaptive sampling."
+        "error, and told for the others by its exact law. In brackets: the pilot's samples a pixel, the picture's, and how "
+        "many of the scene's shadow rays it took where the pilot decided. The aim is a third for `sobol` with adaptive "
+        "sampling."
     )
     rows = [_saving_row(name, saving) for name, targets in found.items() for saving in targets]
     head = ["scene", "error", "`independent`", "`sobol`", "certified", "fast"]
@@ -212,10 +213,10 @@ def _saving_row(name: str, saving: dict[str, Any]) -> list[str]:
     for variant, job in saving["jobs"].items():
         ratio = _ratio_of(saving, variant)
         text = f"{ratio:.2f}" if variant == "sobol" or ratio <= AIM else f"**{ratio:.2f}**"
-        cells.append(
-            text
-            + (f" ({job['pilot']}, {job['samples']:.0f})" if job["pilot"] else f" ({job['samples']:.0f})")
-        )
+        told = [f"{job['pilot']}"] * bool(job["pilot"]) + [f"{job['samples']:.0f}"]
+        if job["shadow_rays"]:
+            told.append(f"{job['shadow_rays']} of {saving['shadow_rays']}")
+        cells.append(f"{text} ({', '.join(told)})")
     return [f"`{name}`", f"{100 * saving['target']:.2g} %", f"{saving['independent']:.1f} s", *cells]
 
 

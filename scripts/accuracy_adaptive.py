@@ -46,6 +46,8 @@ class Job:
     """A pixel, at the check point where it stopped."""
     pilot: int
     """Samples a pixel that only decided."""
+    shadow_rays: int
+    """Of the scene's, as many as paid; 0: nothing was decided."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ class Saving:
     """Processor seconds."""
     jobs: dict[str, Job]
     """By name of the variant; the mean over SEEDS."""
+    shadow_rays: int
+    """The scene's."""
 
 
 def measure(engine: Engine, scene: Scene, beside: Path, targets: Sequence[float]) -> list[Saving]:
@@ -71,7 +75,8 @@ def measure(engine: Engine, scene: Scene, beside: Path, targets: Sequence[float]
             name: _mean([_job(engine, scene, beside, *variant, target, seed) for seed in SEEDS])
             for name, variant in VARIANTS.items()
         }
-        found.append(Saving(target, base.seconds * (loose / target) ** 2, jobs))
+        least = base.seconds * (loose / target) ** 2
+        found.append(Saving(target, least, jobs, scene.integrator.shadow_rays))
     return found
 
 
@@ -90,8 +95,9 @@ def _job(
     spent = settled_seconds() - before
     last = record.points[-1]
     exponent = theta or fit_theta(record.points).theta
-    pilot = record.adaptive.pilot_samples if record.adaptive else 0
-    return Job(spent * (last.relmse / target**2) ** (1 / exponent), last.samples, pilot)
+    use = record.adaptive
+    decided = (use.pilot_samples, use.shadow_rays) if use else (0, 0)
+    return Job(spent * (last.relmse / target**2) ** (1 / exponent), last.samples, *decided)
 
 
 def _run(engine: Engine, scene: Scene, beside: Path) -> RunResult:
@@ -112,7 +118,8 @@ def _run(engine: Engine, scene: Scene, beside: Path) -> RunResult:
 
 def _mean(jobs: Sequence[Job]) -> Job:
     n = len(jobs)
-    return Job(sum(j.seconds for j in jobs) / n, sum(j.samples for j in jobs) / n, jobs[0].pilot)
+    means = (sum(j.seconds for j in jobs) / n, sum(j.samples for j in jobs) / n)
+    return Job(*means, jobs[0].pilot, jobs[0].shadow_rays)
 
 
 def settled_seconds() -> float:

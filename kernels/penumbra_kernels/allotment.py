@@ -4,6 +4,9 @@ Every replicate has one axis of sample indices for all pixels, so that sum nodes
 decided. A pixel of level j takes the indices below `kept`, and of those from there on the multiples of 2^j: its density is
 2^-j of the largest. LEVEL_NONE takes nothing from `kept` on. Indices that a pixel does not take are zeros in its sums, and
 are not counted. cl/sampling/share.cl says the same to the device.
+
+An allotment may also change how many shadow rays hits take: in the picture, or, so that a pilot can compare, in half of its
+replicates.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ PILOT_SALT: Final = 0x13198A2E03707344
 _MASK: Final = (1 << 64) - 1
 _STEP: Final = 0x9E3779B97F4A7C15
 
+ShadowRays = tuple[int, int]
+"""What stands for the scene's `shadow_rays` in the first half of the replicates, and in the second; 0: those themselves."""
+AS_GIVEN: Final[ShadowRays] = (0, 0)
+
 
 @dataclass(frozen=True, eq=False)
 class Allotment:
@@ -38,6 +45,13 @@ class Allotment:
     """Samples that only decide: they have random numbers of their own."""
     kept_planned: int | None = None
     """What `planned` was while the kept ones were taken; None: those themselves."""
+    shadow_rays: ShadowRays = AS_GIVEN
+    kept_shadow_rays: ShadowRays = AS_GIVEN
+    """While the kept ones were taken."""
+
+    def shadow_rays_at(self, index: int) -> ShadowRays:
+        """Of a sample index."""
+        return self.kept_shadow_rays if index < self.kept else self.shadow_rays
 
     def samples(self, first: int, count: int) -> dict[int, int]:
         """Pixels by how many of [first, first + count) they take."""
@@ -51,9 +65,17 @@ class Allotment:
         return taken
 
 
-def even(tile: Tile, planned: int = 0, *, pilot: bool = False) -> Allotment:
+def even(
+    tile: Tile, planned: int = 0, *, pilot: bool = False, shadow_rays: ShadowRays = AS_GIVEN
+) -> Allotment:
     """Every pixel takes every index."""
-    return Allotment(np.zeros((tile.height, tile.width), np.uint8), 0, planned, pilot)
+    levels = np.zeros((tile.height, tile.width), np.uint8)
+    return Allotment(levels, 0, planned, pilot, shadow_rays=shadow_rays)
+
+
+def halves(replicates: int) -> tuple[slice, slice]:
+    """The replicates that count as the first half, and as the second."""
+    return slice(replicates // 2), slice(replicates // 2, replicates)
 
 
 def own_samples(end: int, level: int, kept: int) -> int:

@@ -7,6 +7,7 @@ FLOAT32_SAMPLES samples (as the kernel does it), in float64 beyond.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -105,6 +106,16 @@ def _merge_layers(left: NDArray[Any] | None, right: NDArray[Any] | None) -> NDAr
     np.add(left["normal"], right["normal"], out=merged["normal"])
     merged["object_id"] = left["object_id"]
     return merged
+
+
+def joined(parts: Sequence[SumNode]) -> SumNode:
+    """One node of the replicates of all, in this order; they are of one tile and range."""
+    sums = np.concatenate([part.sums for part in parts])
+    layers = [part.layers for part in parts if part.layers is not None]
+    first = parts[0]
+    return SumNode(
+        first.tile, first.first_sample, first.sample_count, sums, np.concatenate(layers) if layers else None
+    )
 
 
 def aligned_ranges(first: int, end: int) -> list[tuple[int, int]]:

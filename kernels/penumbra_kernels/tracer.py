@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from penumbra_kernels.accel.compact import tree_arrays
-from penumbra_kernels.allotment import Allotment, even, pilot_seed
+from penumbra_kernels.allotment import AS_GIVEN, Allotment, even, halves, pilot_seed
 from penumbra_kernels.layout import CONSTANTS, LAYERS, PARAMS, SUM
-from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, merge
+from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, joined, merge
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -167,7 +167,6 @@ class Tracer:
         self.upload_seconds = time.perf_counter() - started
         self._params = compiled.params.copy()
         self._options = self._params["options"].copy()
-        self._params["replicate_count"] = plan.replicates
         self._plan_strata(plan.strata)
         self._items_per_second = 0.0
 
@@ -239,10 +238,25 @@ class Tracer:
     def _launch(
         self, tile: Tile, first_sample: int, sample_count: int, allotment: Allotment | None
     ) -> SumNode:
-        replicates = self.plan.replicates
+        """All replicates together, or one half after the other where their hits take different numbers of shadow rays."""
+        rays = allotment.shadow_rays_at(first_sample) if allotment is not None else AS_GIVEN
+        whole = (slice(self.plan.replicates),)
+        chosen = whole if rays[0] == rays[1] else halves(self.plan.replicates)
+        parts = []
+        for replicates, of_hit in zip(chosen, rays, strict=False):
+            self._params["shadow_rays"] = of_hit or self.compiled.params["shadow_rays"]
+            parts.append(self._launch_part(replicates, tile, first_sample, sample_count, allotment))
+        return parts[0] if len(parts) == 1 else joined(parts)
+
+    def _launch_part(
+        self, chosen: slice, tile: Tile, first_sample: int, sample_count: int, allotment: Allotment | None
+    ) -> SumNode:
+        """`chosen`: replicates."""
+        params = self._params
+        first_replicate, replicates = chosen.start or 0, chosen.stop - (chosen.start or 0)
+        params["first_replicate"], params["replicate_count"] = first_replicate, replicates
         shape = (replicates, tile.height, tile.width)
         items = replicates * tile.height * tile.width
-        params = self._params
         buffers = dict(self._buffers)
         if allotment is not None and self.flags["PENUMBRA_ADAPTIVE"]:
             buffers["levels"] = self.device.upload(allotment.levels)

@@ -26,6 +26,10 @@ class Adaptive(Model):
     pilot_samples: Annotated[int, Field(ge=1, le=limits.MAX_PILOT_SAMPLES), NotBoolean] | None = None
     """Samples a pixel that decide, rounded up to a power of two in each replicate. Default 8, and up to 1/24
     of what the picture is expected to take; for `contrast`, whose picture begins with them, 4."""
+    shadow_rays: Literal["at_most", "exactly"] | None = None
+    """Of `error`. at_most: hits take fewer shadow rays than `integrator.shadow_rays` where the pilot tells that the
+    picture comes to its error sooner; exactly: that many. Default at_most, but exactly where `stop.samples` is
+    given: as many samples with fewer rays would be a noisier picture."""
     threshold: Annotated[float, Field(strict=True, gt=0, lt=1)] | None = None
     """Of `contrast`: |a - b| / (a + b + 0.01) of two neighbouring pixels, in R, G or B. Default 0.1."""
 
@@ -36,6 +40,9 @@ class Adaptive(Model):
                 ": it keeps the samples that decide" if self.strategy == "contrast" else ""
             )
             raise error_at("/mode", message, 'null, or the strategy "error"')
+        if self.strategy != "error" and self.shadow_rays is not None:
+            message = f"only `error` decides on shadow rays, {self.strategy!r} does not"
+            raise error_at("/shadow_rays", message, 'null, or the strategy "error"')
         if self.strategy != "contrast" and self.threshold is not None:
             raise error_at(
                 "/threshold", "only `contrast` has a threshold", 'null, or the strategy "contrast"'

@@ -167,6 +167,10 @@ class SampleMap(Model):
     """Indices of each replicate that every pixel takes."""
     kept_planned: Count = 0
     """Indices of each replicate that their strata were made for; 0: strata doubled as they filled."""
+    shadow_rays: Count = 0
+    """In place of the scene's; 0: those themselves."""
+    kept_shadow_rays: tuple[Count, Count] = (0, 0)
+    """Likewise at the indices below `kept`, in the first half of the replicates and in the second."""
     levels: str
     """A byte for each block, row by row: compressed by zlib, in base64."""
 
@@ -184,6 +188,8 @@ class AdaptiveReport(Model):
     """Of tracing; part of the job's seconds."""
     theta: Float | None = None
     """The exponent that the samples were shared out by; null for `contrast`."""
+    shadow_rays: Integer | None = None
+    """How many of the scene's `shadow_rays` paid, and were taken; null where the pilot did not decide it: hits took all."""
     levels: tuple[LevelShare, ...]
     """Most samples first."""
     map: SampleMap | None = None

@@ -161,6 +161,7 @@ def _adaptive(report: AdaptiveReport | None) -> dict[str, str | int | float]:
         "pilotSamples": report.pilot_samples,
         "pilotSeconds": report.pilot_seconds,
         "sampleLevels": " ".join(f"{level.samples}:{level.share:.4f}" for level in report.levels),
+        **({} if report.shadow_rays is None else {"shadowRays": report.shadow_rays}),
     }
 
 

@@ -76,7 +76,8 @@ def _adaptive_text(report: AdaptiveReport) -> str:
     most, least = report.levels[0].samples, report.levels[-1].samples
     pilot = f"a pilot of {report.pilot_samples} samples in {duration(report.pilot_seconds)}"
     kept = "kept, so that the picture is biased" if report.biased else "dropped"
-    return f"by {report.strategy}, {least} to {most} samples a pixel; {pilot}, {kept}"
+    paid = "" if report.shadow_rays is None else f", {report.shadow_rays} of the shadow rays"
+    return f"by {report.strategy}, {least} to {most} samples a pixel{paid}; {pilot}, {kept}"
 
 
 def _print_paths(paths: Mapping[str, Path]) -> None:

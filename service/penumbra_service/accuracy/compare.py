@@ -248,7 +248,8 @@ def as_set(scene: Scene, setting: Setting, samples: int) -> Scene:
     return scene.model_copy(
         update={
             "sampler": scene.sampler.model_copy(update={"type": setting.sampler}),
-            "adaptive": Adaptive() if setting.adaptive else None,
+            # As a job to an error has it: the axis is seconds, not samples.
+            "adaptive": Adaptive(shadow_rays="at_most") if setting.adaptive else None,
             "stop": Stop(samples=samples),
         }
     )

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from penumbra_kernels.allotment import AS_GIVEN, even
 from penumbra_kernels.nodes import Tile
 from penumbra_scene.check import scene_hash
 from penumbra_scene.scene import Scene
@@ -35,10 +36,10 @@ from penumbra_service.engine.protocol import (
 )
 from penumbra_service.engine.task import RunFailedError
 from penumbra_service.film.accumulator import TileAccumulator
-from penumbra_service.film.allocation import BlockPilot, Saving, pilot_of, saving_of, smoothed, together
 from penumbra_service.film.counts import count_untrusted
 from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import TileGrid
+from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.pilot import (
     affordable,
     blocks_of,
@@ -49,6 +50,7 @@ from penumbra_service.film.pilot import (
     round_ends,
 )
 from penumbra_service.film.predict import fit_theta
+from penumbra_service.film.quoted_saving import QuotedSaving
 from penumbra_service.film.replicates import choose_layout
 from penumbra_service.film.statistics import pixel_flags, pixel_statistics
 from penumbra_service.images.limits import DEFAULTS, DecodeLimits
@@ -113,8 +115,10 @@ class PilotRunner:
         self._tiles: dict[Tile, TileAccumulator] = {}
         self._summaries: dict[int, dict[Tile, TileSummary]] = {}
         """By the end of the round."""
-        self._blockwise: dict[int, dict[Tile, BlockPilot]] = {}
-        """The same of the blocks that share a level, where the scene's samples are spread by error."""
+        self._saving = QuotedSaving(task.scene, self._layout.replicates)
+        if self._saving.compared != AS_GIVEN:
+            rays = self._saving.compared
+            self._desk.share(LevelMap(self._window), lambda tile: even(tile, shadow_rays=rays), anew=True)
         self._untrusted = 0
         """Pixels of the newest round whose error bar is not to be trusted."""
         self._paces: dict[str, Rounds] = {}
@@ -328,11 +332,11 @@ class PilotRunner:
         round_: dict[Tile, TileSummary] = {}
         untrusted = 0
         for tile in tiles:
-            pixels = pixel_statistics(tile, self._tiles[tile].fold(end), deterministic=deterministic)
+            sums = self._tiles[tile].fold(end)
+            pixels = pixel_statistics(tile, sums, deterministic=deterministic)
             round_[tile] = summarize(pixels)
             untrusted += count_untrusted(pixel_flags(pixels, deterministic=deterministic))
-            if self._by_error:
-                self._blockwise.setdefault(end, {})[tile] = pilot_of(tile, [pixels])
+            self._saving.look(end, pixels, sums)
         self._summaries[end] = round_
         self._untrusted = untrusted
 
@@ -353,22 +357,7 @@ class PilotRunner:
             seconds = samples * result.seconds_per_sample
             summaries = [round_[tile] for tile in last]
             result.points.append(pilot_point(summaries, samples, seconds, len(self._blocks), stop.confidence))
-        result.saving = self._saving()
-
-    @property
-    def _by_error(self) -> bool:
-        adaptive = self._task.scene.adaptive
-        return adaptive is not None and adaptive.strategy == "error"
-
-    def _saving(self) -> Saving | None:
-        """The first round decides, as the pilot of a job does; the last tells what that saves."""
-        if not self._blockwise:
-            return None
-        rounds = list(self._blockwise.values())
-        decided = together([smoothed(rounds[0][tile]) for tile in rounds[-1]])
-        saving = saving_of(decided, together(list(rounds[-1].values())), fit_theta(self._result.points).theta)
-        # The job's pilot would see as much, and have all pixels take as many.
-        return saving if saving.pays else Saving()
+        result.saving = self._saving.saving(fit_theta(result.points).theta)
 
     def _rate_deviation(self) -> float:
         """From the spread of seconds a sample over leases, which are of different blocks, and from

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from penumbra_kernels.allotment import Allotment, even
+from penumbra_kernels.allotment import AS_GIVEN, Allotment, ShadowRays, even
 from penumbra_kernels.nodes import Tile
 from penumbra_scene.adaptive import Adaptive
 from penumbra_scene.limits import MAX_PILOT_SAMPLES
@@ -36,6 +36,7 @@ from penumbra_service.film.allocation import (
 from penumbra_service.film.film import Film
 from penumbra_service.film.levels import LevelMap
 from penumbra_service.film.replicates import Layout
+from penumbra_service.film.shadow_rays import compared, comparison_of
 from penumbra_service.film.stop import StopRule
 from penumbra_service.film.tilefile import FolderTileStore
 from penumbra_service.jobs.record import AdaptiveUse, RunRecord
@@ -68,6 +69,8 @@ class Stage:
     """Samples a pixel that a pilot always has; more, up to the rule's, while film.allocation asks for them."""
     own_numbers: bool = False
     """A pilot whose samples the picture does not keep."""
+    compared: ShadowRays = AS_GIVEN
+    """What hits in the halves of a pilot's replicates take."""
 
     def suffices(self, record: RunRecord, seconds: float) -> bool:
         """Whether a pilot that was just looked at may decide, after `seconds` of tracing."""
@@ -82,7 +85,7 @@ class Stage:
     def allotment(self, tile: Tile) -> Allotment:
         """What a device must know of a tile."""
         if self.pilot:
-            return even(tile, self.strata, pilot=self.own_numbers)
+            return even(tile, self.strata, pilot=self.own_numbers, shadow_rays=self.compared)
         return self.levels.allotment(tile, self.strata)
 
 
@@ -102,6 +105,7 @@ class Stages:
         self.adaptive = None if fixed else scene.adaptive
         self._fixed = fixed
         self._stop = scene.stop
+        self._compared = compared(scene, layout.replicates)
         self._layout = layout
         self._window = window
         self._key = key
@@ -134,7 +138,9 @@ class Stages:
         pilot = self._pilot(self.adaptive)
         kept = 0 if pilot.own_numbers else end
         theta, values = self._levels(self.adaptive, film, record, end)
-        decided = LevelMap(self._window, values, kept, pilot.strata if kept else 0)
+        rays = self._shadow_rays(pilot.compared, film, end)
+        of_kept = (pilot.strata, rays, pilot.compared) if kept else (0, rays)
+        decided = LevelMap(self._window, values, kept, *of_kept)
         self._tiles.write(levels.NAME, levels.encode(decided, self._key))
         record.adaptive = AdaptiveUse(
             "contrast" if self.adaptive.strategy == "contrast" else "error",
@@ -144,6 +150,7 @@ class Stages:
             record.seconds,
             theta,
             {str(level): count for level, count in decided.histogram.items()},
+            rays,
         )
         if not kept:
             record.points.clear()
@@ -169,6 +176,13 @@ class Stages:
         kept = end if adaptive.biased else 0
         return theta, error_levels(self._window, pilot, theta, self._layout.samples_per_replicate, kept)
 
+    def _shadow_rays(self, tried: ShadowRays, film: Film, end: int) -> int:
+        """That the picture's hits take; 0: as many as the scene has, nothing was compared."""
+        if tried == AS_GIVEN:
+            return 0
+        one, whole = (pilot_of(self._window, half) for half in film.halves(end))
+        return comparison_of(one, whole, tried[1]).choice
+
     def _pilot(self, adaptive: Adaptive) -> Stage:
         least, own = self._least_pilot(adaptive), not adaptive.biased
         grows = adaptive.pilot_samples is None and adaptive.strategy == "error"
@@ -184,6 +198,7 @@ class Stages:
             pilot=True,
             least=least * self._layout.replicates,
             own_numbers=own,
+            compared=self._compared,
         )
 
     def _least_pilot(self, adaptive: Adaptive) -> int:

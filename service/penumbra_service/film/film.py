@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
+from penumbra_kernels.allotment import halves
 from penumbra_kernels.nodes import SumNode, Tile, aligned_ranges
 
 from penumbra_service.film.accumulator import TileAccumulator
@@ -133,8 +134,8 @@ class Film:
 
     def halves(self, end: int) -> tuple[Iterator[PixelStatistics], Iterator[PixelStatistics]]:
         """Statistics of samples [0, end) of all tiles by the first half of the replicates alone, and by the second."""
-        half = self.replicates // 2
-        return self._of_replicates(end, slice(half)), self._of_replicates(end, slice(half, None))
+        first, second = halves(self.replicates)
+        return self._of_replicates(end, first), self._of_replicates(end, second)
 
     def _of_replicates(self, end: int, chosen: slice) -> Iterator[PixelStatistics]:
         for tile in self._tiles:

@@ -15,24 +15,31 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from penumbra_kernels.allotment import LEVEL_NONE, Allotment, own_samples
+from penumbra_kernels.allotment import AS_GIVEN, LEVEL_NONE, Allotment, ShadowRays, own_samples
 from penumbra_kernels.nodes import Tile
 
 from penumbra_service.film.grid import block_lengths
 
 NAME: Final = "levels.map"
-MAGIC: Final = b"PENULEV2"
+MAGIC: Final = b"PENULEV3"
 
 
 class LevelMap:
     """Levels of a window's pixels; those of blocks, or of single pixels, as was decided. Immutable."""
 
     def __init__(
-        self, window: Tile, levels: NDArray[np.uint8] | None = None, kept: int = 0, kept_planned: int = 0
+        self,
+        window: Tile,
+        levels: NDArray[np.uint8] | None = None,
+        kept: int = 0,
+        kept_planned: int = 0,
+        shadow_rays: int = 0,
+        kept_shadow_rays: ShadowRays = AS_GIVEN,
     ) -> None:
         """levels: (window height, window width), None: every pixel takes every index. kept: indices of each replicate
         that all pixels take whatever their level, 0 or a power of two. kept_planned: for how many their strata were
-        made; a pilot that the clock ended early took fewer, and 0 is one whose end was not known."""
+        made; a pilot that the clock ended early took fewer, and 0 is one whose end was not known. shadow_rays: that hits take,
+        0: as many as the scene has; kept_shadow_rays: that those of the kept ones took."""
         if levels is not None and levels.shape != (window.height, window.width):
             raise ValueError(
                 f"levels of shape {levels.shape} for a window of {window.height} x {window.width}"
@@ -41,6 +48,8 @@ class LevelMap:
         self.levels = levels
         self.kept = kept
         self.kept_planned = kept_planned
+        self.shadow_rays = shadow_rays
+        self.kept_shadow_rays = kept_shadow_rays
 
     @cached_property
     def histogram(self) -> dict[int, int]:
@@ -88,7 +97,14 @@ class LevelMap:
 
     def allotment(self, tile: Tile, planned: int) -> Allotment:
         """What a device must know of a tile; planned: indices a replicate, 0 where that is not known."""
-        return Allotment(self._of(tile), self.kept, planned, kept_planned=self.kept_planned)
+        return Allotment(
+            self._of(tile),
+            self.kept,
+            planned,
+            kept_planned=self.kept_planned,
+            shadow_rays=(self.shadow_rays, self.shadow_rays),
+            kept_shadow_rays=self.kept_shadow_rays,
+        )
 
     def _of(self, tile: Tile) -> NDArray[np.uint8]:
         if self.levels is None:
@@ -136,6 +152,8 @@ def encode(levels: LevelMap, key: str) -> bytes:
         "window": [w.x, w.y, w.width, w.height],
         "kept": levels.kept,
         "kept_planned": levels.kept_planned,
+        "shadow_rays": levels.shadow_rays,
+        "kept_shadow_rays": levels.kept_shadow_rays,
     }
     text = json.dumps(header).encode()
     body = MAGIC + struct.pack("<I", len(text)) + text + zlib.compress(levels.levels.tobytes())
@@ -154,4 +172,7 @@ def decode(data: bytes | None, window: Tile, key: str) -> LevelMap | None:
         return None
     values = np.frombuffer(zlib.decompress(data[at + length : -size]), np.uint8)
     shaped = values.reshape(window.height, window.width)
-    return LevelMap(window, shaped, int(header["kept"]), int(header["kept_planned"]))
+    first, second = header["kept_shadow_rays"]
+    return LevelMap(
+        window, shaped, header["kept"], header["kept_planned"], header["shadow_rays"], (first, second)
+    )

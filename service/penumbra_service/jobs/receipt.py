@@ -228,6 +228,7 @@ def _adaptive(record: RunRecord, levels: LevelMap | None) -> AdaptiveReport | No
         pilot_samples=use.pilot_samples,
         pilot_seconds=use.pilot_seconds,
         theta=use.theta,
+        shadow_rays=use.shadow_rays or None,
         levels=tuple(shares),
         map=sample_map(levels) if levels is not None else None,
     )
@@ -243,6 +244,7 @@ def adaptive_use(report: AdaptiveReport, levels: LevelMap) -> AdaptiveUse:
         0.0,
         report.theta,
         {str(level): count for level, count in levels.histogram.items()},
+        levels.shadow_rays,
     )
 
 

@@ -81,6 +81,8 @@ class AdaptiveUse:
     """The exponent that the counts were shared out by; None where the rule asks for none."""
     levels: dict[str, int]
     """Pixels by level j, whose density is 2^-j of the largest."""
+    shadow_rays: int = 0
+    """That hits take; 0: nothing was decided, they take the scene's."""
 
 
 @dataclass

@@ -31,6 +31,8 @@ def sample_map(levels: LevelMap) -> SampleMap | None:
         columns=values.shape[1],
         kept=levels.kept,
         kept_planned=levels.kept_planned,
+        shadow_rays=levels.shadow_rays,
+        kept_shadow_rays=levels.kept_shadow_rays,
         levels=base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii"),
     )
 
@@ -43,7 +45,14 @@ def levels_of(found: SampleMap, window: Tile) -> LevelMap:
             f"{found.rows} x {found.columns} blocks, where the picture has {expected[0]} x {expected[1]}"
         )
     values = np.frombuffer(_bytes(found), np.uint8).reshape(expected)
-    return LevelMap(window, spread(values, window, found.block), found.kept, found.kept_planned)
+    return LevelMap(
+        window,
+        spread(values, window, found.block),
+        found.kept,
+        found.kept_planned,
+        found.shadow_rays,
+        found.kept_shadow_rays,
+    )
 
 
 def _bytes(found: SampleMap) -> bytes:

@@ -278,6 +278,7 @@ def _adaptive_rows(report: AdaptiveReport | None) -> tuple[tuple[str, tuple[tupl
         ("Pilot", f"{pilot}, {'kept' if report.biased else 'dropped'}"),
         ("Biased", "yes: the pilot is part of the picture" if report.biased else "no"),
         ("Samples a pixel, share of pixels", levels),
+        *(() if report.shadow_rays is None else (("Shadow rays that pay", words.count(report.shadow_rays)),)),
     )
     return (("Adaptive sampling", rows),)
 

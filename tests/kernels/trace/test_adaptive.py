@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from penumbra_kernels.allotment import LEVEL_NONE, Allotment, own_samples, pilot_seed
+from penumbra_kernels.allotment import LEVEL_NONE, Allotment, halves, own_samples, pilot_seed
 from penumbra_kernels.assets import NoAssets
 from penumbra_kernels.compile.scene import CompiledScene, compile_scene
 from penumbra_kernels.device import Device
@@ -136,6 +136,33 @@ def test_a_pilot_has_random_numbers_of_its_own(device: Device) -> None:
     surface = (picture["rgba"][..., 3] == 4) & (pilot["rgba"][..., 3] == 4)
     assert (picture["rgba"][surface, 0] != pilot["rgba"][surface, 0]).mean() > 0.99
     assert picture.tobytes() == again.tobytes()
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_hits_take_as_many_shadow_rays_as_an_allotment_says(device: Device, together: bool) -> None:
+    """Bit for bit as in a scene that has so many, in each half of the replicates, and in what is kept others than beyond."""
+
+    def tracer(shadow_rays: int) -> Tracer:
+        plain = scene(layers=("albedo",))
+        plain.params["shadow_rays"] = shadow_rays
+        return Tracer(device, plain, SamplePlan(5), together=together)
+
+    levels = some_levels(4)
+    nodes = {n: tracer(n).trace(WHOLE, 0, 4, Allotment(levels, 4, 16)) for n in (1, 3)}
+    beyond = tracer(2).trace(WHOLE, 4, 4, Allotment(levels, 4, 16))
+    asked = Allotment(levels, 4, 16, shadow_rays=(2, 2), kept_shadow_rays=(1, 3))
+    mixed = tracer(3)
+    for _ in range(2):  # in any order
+        kept, rest = mixed.trace(WHOLE, 0, 4, asked), mixed.trace(WHOLE, 4, 4, asked)
+        assert kept.layers is not None
+        for half, shadow_rays in zip(halves(5), (1, 3), strict=True):
+            own = nodes[shadow_rays]
+            assert own.layers is not None
+            assert kept.sums[half].tobytes() == own.sums[half].tobytes()
+            assert kept.layers[half].tobytes() == own.layers[half].tobytes()
+        assert rest.sums.tobytes() == beyond.sums.tobytes()
+    assert nodes[1].sums["rays"].sum() < nodes[3].sums["rays"].sum()
+    assert mixed.trace(WHOLE, 0, 4).sums.tobytes() == nodes[3].sums.tobytes()
 
 
 def test_work_items_of_a_cpu_have_samples_enough_to_fill_their_lanes() -> None:

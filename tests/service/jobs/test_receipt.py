@@ -60,7 +60,7 @@ def scene() -> Scene:
 @pytest.mark.parametrize("kept", [0, 2])
 def test_a_receipt_tells_how_samples_were_spread(scene, kept):  # type: ignore[no-untyped-def]
     mode = "fast" if kept else "certified"
-    use = AdaptiveUse("error", mode, kept, 16, 0.5, 1.1, {"0": 1, "10": 6, "2": 3})
+    use = AdaptiveUse("error", mode, kept, 16, 0.5, 1.1, {"0": 1, "10": 6, "2": 3}, kept)
     receipt = build_receipt(scene, _record(adaptive=use), StopReason.SAMPLES, CONTEXT)
     adaptive = receipt.adaptive
     assert adaptive is not None
@@ -71,6 +71,9 @@ def test_a_receipt_tells_how_samples_were_spread(scene, kept):  # type: ignore[n
     assert rows["Pilot"].endswith("kept" if kept else "dropped")
     assert rows["Biased"].startswith("yes" if kept else "no")
     assert adaptive.biased == (kept > 0)
+    assert adaptive.shadow_rays == (kept or None)
+    assert told.get("penumbra:shadowRays") == adaptive.shadow_rays
+    assert rows.get("Shadow rays that pay") == (str(kept) if kept else None)
     # ends[-1] is 8 of each of 8 replicates: level 2 takes 0 and 4, level 10 takes 0
     most, middle, least = (64, 24, 16) if kept else (64, 16, 8)
     assert [(level.samples, level.share) for level in adaptive.levels] == [

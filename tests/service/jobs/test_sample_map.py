@@ -19,7 +19,14 @@ WINDOW = Tile(13, 7, 40, 33)
 def _levels(*, by_block: bool) -> LevelMap:
     rng = np.random.default_rng(3)
     values = rng.integers(0, 5, (17, 21) if by_block else (33, 40), np.uint8)
-    return LevelMap(WINDOW, spread(values, WINDOW, BLOCK) if by_block else values, kept=4, kept_planned=16)
+    return LevelMap(
+        WINDOW,
+        spread(values, WINDOW, BLOCK) if by_block else values,
+        kept=4,
+        kept_planned=16,
+        shadow_rays=2,
+        kept_shadow_rays=(1, 5),
+    )
 
 
 @pytest.mark.parametrize("by_block", [True, False])
@@ -32,6 +39,7 @@ def test_a_map_comes_back_from_its_receipt(by_block: bool) -> None:
     assert back.levels is not None
     assert np.array_equal(back.levels, levels.levels)
     assert (back.kept, back.kept_planned) == (4, 16)
+    assert (back.shadow_rays, back.kept_shadow_rays) == (2, (1, 5))
 
 
 def test_an_even_picture_has_none() -> None:
