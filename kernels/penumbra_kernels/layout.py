@@ -66,17 +66,6 @@ PARAMS: Final = np.dtype(
     ]
 )
 
-SUM: Final = np.dtype(
-    [
-        ("rgba", np.float32, (4,)),  # sums over the samples that were taken and not rejected
-        ("taken", np.uint32),  # samples that count, zeros included, rejected ones not
-        ("lit", np.uint32),  # of these, samples that carried light
-        ("rejected", np.uint32),  # NaN, infinite or negative
-        ("rejected_in", np.uint32),  # bits of the effects in which rejected samples arose (base/effects.h)
-        ("rays", np.uint32),  # traced by all samples, rejected ones included: what they cost, counted
-    ]
-)
-
 LAYERS: Final = np.dtype(
     [
         (
@@ -343,7 +332,6 @@ ALIAS: Final = np.dtype(
 STRUCTS: Final[dict[str, np.dtype[Any]]] = {
     "Camera": CAMERA,
     "Params": PARAMS,
-    "Sum": SUM,
     "Layers": LAYERS,
     "Keyframe": KEYFRAME,
     "Instance": INSTANCE,
@@ -422,6 +410,14 @@ CONSTANTS: Final[dict[str, int]] = {
     "GROUP_DIRECTIONS": 16,
     "DRAWN_BOUNCE": 2,  # of the counters of numbers drawn, that of a hit's slot 0, which is free (dimensions.py)
     "DRAWN_COUNT": 8,
+    # planes of a node's sums (sums.py), `params.item_count` words each
+    "SUM_RGBA": 0,  # float, four of them: over the samples that were taken and not rejected
+    "SUM_TAKEN": 4,  # samples that count, zeros included, rejected ones not
+    "SUM_LIT": 5,  # of these, samples that carried light
+    "SUM_REJECTED": 6,  # NaN, infinite or negative
+    "SUM_REJECTED_IN": 7,  # bits of the effects in which rejected samples arose (base/effects.h)
+    "SUM_RAYS": 8,  # traced by all samples, rejected ones included: what they cost, counted
+    "SUM_PLANES": 9,
     "SAMPLER_REGULAR": 0,
     "SAMPLER_RANDOM": 1,
     "SAMPLER_INDEPENDENT": 2,

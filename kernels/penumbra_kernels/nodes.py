@@ -14,16 +14,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from penumbra_kernels.layout import LAYERS, SUM
+from penumbra_kernels.layout import LAYERS
+from penumbra_kernels.sums import Sums, no_sums, of_replicates
 
 FLOAT32_SAMPLES: Final = 256
 """Largest node whose sums are float32; a launch never covers more samples of one pixel and replicate."""
-
-_WIDE: Final = {"rgba": np.dtype(np.float64), "rays": np.dtype(np.uint64)}
-SUM64: Final = np.dtype(
-    [(name, _WIDE.get(name, base.base), base.shape) for name, (base, *_) in (SUM.fields or {}).items()]
-)
-"""SUM with float64 colour and 64 bits of rays: nodes of more than FLOAT32_SAMPLES samples."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +38,8 @@ class SumNode:
     tile: Tile
     first_sample: int
     sample_count: int
-    sums: NDArray[Any]
-    """(replicates, height, width) of SUM, or SUM64 beyond FLOAT32_SAMPLES samples."""
+    sums: Sums
+    """Of every replicate; wide beyond FLOAT32_SAMPLES samples."""
     layers: NDArray[Any] | None = None
     """(replicates, height, width) of LAYERS, where layers are asked for."""
 
@@ -63,7 +58,7 @@ class SumNode:
 def empty_node(tile: Tile, replicates: int, first: int, count: int, *, layers: bool = False) -> SumNode:
     """A range of which no pixel takes a sample."""
     shape = (replicates, tile.height, tile.width)
-    sums = np.zeros(shape, SUM if count <= FLOAT32_SAMPLES else SUM64)
+    sums = no_sums(shape, wide=count > FLOAT32_SAMPLES)
     return SumNode(tile, first, count, sums, np.zeros(shape, LAYERS) if layers else None)
 
 
@@ -85,16 +80,7 @@ def merge(left: SumNode, right: SumNode) -> SumNode:
             f"[{left.first_sample}, {left.end}) and [{right.first_sample}, {right.end}) are not siblings of one tile"
         )
     count = left.sample_count * 2
-    sums = np.empty(left.sums.shape, SUM if count <= FLOAT32_SAMPLES else SUM64)
-    for channel in range(
-        4
-    ):  # a loop over pixels each: numpy adds rows of four, one at a time, several times as slowly
-        added, a, b = (s["rgba"][..., channel] for s in (sums, left.sums, right.sums))
-        np.add(a, b, out=added, dtype=added.dtype)
-    for name in ("taken", "lit", "rejected"):
-        np.add(left.sums[name], right.sums[name], out=sums[name])
-    np.add(left.sums["rays"], right.sums["rays"], out=sums["rays"], dtype=sums["rays"].dtype)
-    np.bitwise_or(left.sums["rejected_in"], right.sums["rejected_in"], out=sums["rejected_in"])
+    sums = left.sums.plus(right.sums, wide=count > FLOAT32_SAMPLES)
     return SumNode(left.tile, left.first_sample, count, sums, _merge_layers(left.layers, right.layers))
 
 
@@ -110,7 +96,7 @@ def _merge_layers(left: NDArray[Any] | None, right: NDArray[Any] | None) -> NDAr
 
 def joined(parts: Sequence[SumNode]) -> SumNode:
     """One node of the replicates of all, in this order; they are of one tile and range."""
-    sums = np.concatenate([part.sums for part in parts])
+    sums = of_replicates([part.sums for part in parts])
     layers = [part.layers for part in parts if part.layers is not None]
     first = parts[0]
     return SumNode(

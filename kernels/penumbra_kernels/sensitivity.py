@@ -177,7 +177,7 @@ def values_of(tracer: Tracer, tiles: Sequence[Tile], sample_count: int, other_gr
             sums = tracer.trace(tile, 0, sample_count).sums
             taken = np.maximum(sums["taken"].astype(np.float64), 1.0)
             out.append(
-                (sums["rgba"][..., :3].astype(np.float64).mean(axis=-1) / taken).reshape(len(sums), -1)
+                (sums["rgba"][..., :3].astype(np.float64).mean(axis=-1) / taken).reshape(sums.shape[0], -1)
             )
         return np.stack(out)
     finally:

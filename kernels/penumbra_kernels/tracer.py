@@ -12,8 +12,9 @@ import numpy as np
 
 from penumbra_kernels.accel.compact import tree_arrays
 from penumbra_kernels.allotment import AS_GIVEN, Allotment, even, halves, pilot_seed
-from penumbra_kernels.layout import CONSTANTS, LAYERS, PARAMS, SUM
+from penumbra_kernels.layout import CONSTANTS, LAYERS, PARAMS
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, joined, merge
+from penumbra_kernels.sums import of_words
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -272,10 +273,10 @@ class Tracer:
             params["items_per_group"] = items_per_group(self._taken(first_sample, sample_count, allotment))
         params["item_count"] = items
         params["options"] = self._options | np.uint32(self.other_groups << CONSTANTS["OPTION_OTHER_SHIFT"])
-        sums = np.empty(shape, SUM)
+        words = np.empty((CONSTANTS["SUM_PLANES"], *shape), np.uint32)
         layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
         buffers["params"] = self.device.upload(params)
-        buffers["sums"] = self.device.allocate(sums.nbytes)
+        buffers["sums"] = self.device.allocate(words.nbytes)
         if layers is not None:
             buffers["layers"] = self.device.allocate(layers.nbytes)
         counted = self.flags.get("PENUMBRA_COUNT_DRAWS")
@@ -288,13 +289,13 @@ class Tracer:
             buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"
         ]
         self._run(arguments, items, int(params["items_per_group"]), sample_count)
-        self.device.download(buffers["sums"], sums)
+        self.device.download(buffers["sums"], words)
         if layers is not None:
             self.device.download(buffers["layers"], layers)
         if drawn is not None:
             self.device.download(buffers["drawn"], drawn)
             self.drawn += drawn.sum(axis=0, dtype=np.int64)
-        return SumNode(tile, first_sample, sample_count, sums, layers)
+        return SumNode(tile, first_sample, sample_count, of_words(words), layers)
 
     def _run(self, arguments: list[Any], items: int, per_group: int, sample_count: int) -> None:
         """Launch all items, on GPUs in slices of about LAUNCH_SECONDS at the rate measured so far."""

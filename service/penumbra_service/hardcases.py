@@ -25,8 +25,8 @@ from penumbra_kernels.hardcases.case import (
     enough,
     hard_case,
 )
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import SumNode, Tile, merge
+from penumbra_kernels.sums import Sums, no_sums
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
 
@@ -37,12 +37,12 @@ from penumbra_service.film.statistics import PixelStatistics, pixel_flags, pixel
 REPLICATES: Final = 8
 
 
-def _sums(values: NDArray[Any]) -> NDArray[Any]:
-    """Sum nodes (replicates, h, w) of gray samples (n, replicates, h, w), n a power of two, added as the tracer adds them."""
+def _sums(values: NDArray[Any]) -> Sums:
+    """Sums of gray samples (n, replicates, h, w), n a power of two, added as the tracer adds them."""
     leaves = []
     tile = Tile(0, 0, values.shape[3], values.shape[2])
     for i, sample in enumerate(values.astype(np.float32)):
-        sums = np.zeros(sample.shape, SUM)
+        sums = no_sums(sample.shape)
         sums["rgba"] = sample[..., None]
         sums["taken"] = 1
         sums["lit"] = sample > 0
@@ -52,7 +52,7 @@ def _sums(values: NDArray[Any]) -> NDArray[Any]:
     return leaves[0].sums
 
 
-def _statistics(sums: NDArray[Any]) -> PixelStatistics:
+def _statistics(sums: Sums) -> PixelStatistics:
     return pixel_statistics(Tile(0, 0, sums.shape[2], sums.shape[1]), sums)
 
 

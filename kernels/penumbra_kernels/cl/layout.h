@@ -57,6 +57,13 @@
 #define GROUP_DIRECTIONS 16u
 #define DRAWN_BOUNCE 2u
 #define DRAWN_COUNT 8u
+#define SUM_RGBA 0u
+#define SUM_TAKEN 4u
+#define SUM_LIT 5u
+#define SUM_REJECTED 6u
+#define SUM_REJECTED_IN 7u
+#define SUM_RAYS 8u
+#define SUM_PLANES 9u
 #define SAMPLER_REGULAR 0u
 #define SAMPLER_RANDOM 1u
 #define SAMPLER_INDEPENDENT 2u
@@ -112,16 +119,6 @@ typedef struct {
   uint pad0;
 } Params;
 // sizeof(Params) == 208
-
-typedef struct {
-  float rgba[4];
-  uint taken;
-  uint lit;
-  uint rejected;
-  uint rejected_in;
-  uint rays;
-} Sum;
-// sizeof(Sum) == 36
 
 typedef struct {
   float albedo_depth[4];

@@ -1,8 +1,9 @@
 // The tracer's one kernel: for a tile, every replicate and an aligned power-of-two range of sample indices, the sum node.
 //
 // Reads: params, the scene's buffers. Writes: sums (and layers), one entry per (replicate, pixel of the tile), replicate
-// slowest, then rows. Runs: one work-item per `items_per_group` entries (entry_of) from first_item on; the host splits a
-// node into launches by it, which changes nothing in the result. Who is next: the host merges nodes (nodes.py).
+// slowest, then rows; of sums one plane after the other (SUM_*). Runs: one work-item per `items_per_group` entries (entry_of)
+// from first_item on; the host splits a node into launches by it, which changes nothing in the result. Who is next: the host
+// merges nodes (nodes.py).
 //
 // This file alone decides which effects a program has, by 0/1 macros; every argument stands in tracer.py's table in the same
 // order under the same conditions.
@@ -65,7 +66,7 @@ __kernel void trace(const __global Params *params, const __global float *filter_
 #if PENUMBRA_COUNT_DRAWS
                     __global uint *drawn,
 #endif
-                    __global Sum *sums, const uint first_item) {
+                    __global uint *sums, const uint first_item) {
   SceneData scene;
   scene.nodes = nodes;
   scene.packets = packets;

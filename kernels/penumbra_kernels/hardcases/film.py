@@ -14,8 +14,8 @@ from penumbra_kernels.compile.scene import compile_scene
 from penumbra_kernels.device import Device, devices
 from penumbra_kernels.hardcases.benches.pictures import Picture, Renderer, busy
 from penumbra_kernels.hardcases.case import HardCase, Measure, Workbench, at_most, enough, hard_case
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, merge
+from penumbra_kernels.sums import NAMES, no_sums
 from penumbra_kernels.tracer import SamplePlan, Tracer
 
 PIXEL: Final = Tile(0, 0, 1, 1)
@@ -56,11 +56,10 @@ def millions_of_samples(bench: Workbench) -> Iterator[Measure]:
         yield at_most(
             f"samples miscounted of 2^{count}", abs(int(summed.sums["taken"][0, 0, 0]) - (1 << count)), 0
         )
-    sums = np.zeros((1, 1, 1), SUM)
     values = np.random.default_rng(1).lognormal(0, 3, FLOAT32_SAMPLES * 64).astype(np.float32)
     leaves = []
     for i, value in enumerate(values):
-        leaf = sums.copy()
+        leaf = no_sums((1, 1, 1))
         leaf["rgba"], leaf["taken"] = value, 1
         leaves.append(SumNode(PIXEL, i, 1, leaf))
     while len(leaves) > 1:
@@ -95,9 +94,8 @@ def tiles(bench: Workbench) -> Iterator[Measure]:
                         else tracer.trace(tile, 0, 4)
                     )
                     part = merge(left, tracer.trace(tile, 4, 4)).sums
-                    changed += int(
-                        np.count_nonzero(part != whole[:, y : y + tile.height, x : x + tile.width])
-                    )
+                    there = whole[:, y : y + tile.height, x : x + tile.width]
+                    changed += sum(int((part[name] != there[name]).sum()) for name in NAMES)
         yield at_most(f"sums changed, tiles of {side}, {sampler}", changed, 0)
 
 

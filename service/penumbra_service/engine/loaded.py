@@ -88,7 +88,7 @@ class LoadedOnDevice:
         except DeviceError as error:
             raise DeviceRefusedError(str(error)) from error
         if self._waits:
-            self._samples += int(node.sums["taken"].sum() + node.sums["rejected"].sum())
+            self._samples += node.sums.total("taken") + node.sums.total("rejected")
             self._seconds += time.perf_counter() - started
         return node
 

@@ -103,7 +103,7 @@ class Replies:
         use.first_sample = min(firsts)
         use.end = max(use.end, *(node.first_sample + node.sample_count for node in result.nodes))
         use.leases += 1
-        use.samples += sum(int(n.sums["taken"].sum() + n.sums["rejected"].sum()) for n in result.nodes)
+        use.samples += sum(n.sums.total("taken") + n.sums.total("rejected") for n in result.nodes)
 
     def _take_check(self, device: DeviceDescription, result: LeaseResult, wrong: list[str]) -> None:
         """Another device has done a lease that is there already."""

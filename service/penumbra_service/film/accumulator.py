@@ -7,7 +7,6 @@ across one, so that what lies beyond can be dropped.
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -15,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.layout import LAYERS
-from penumbra_kernels.nodes import SUM64, SumNode, Tile, merge, siblings
+from penumbra_kernels.nodes import SumNode, Tile, merge, siblings
+from penumbra_kernels.sums import CHANNELS, NAMES, Sums
 
 from penumbra_service.film.scratch import Empty
 
@@ -133,18 +133,14 @@ class TileAccumulator:
 
 
 class FoldedSums(Mapping[str, NDArray[Any]]):
-    """The fields of SUM64, each (replicates, height, width) and of its type there: nodes added in index order. A field is
-    added up when it is first asked for, since a look at a picture needs few of them."""
+    """The fields of wide Sums, each (replicates, height, width): nodes added in index order. A field is added up when it is
+    first asked for, since a look at a picture needs few of them."""
 
-    def __init__(
-        self, parts: Sequence[NDArray[Any]], shape: tuple[int, int, int], empty: Empty = np.empty
-    ) -> None:
-        """parts: of SUM or SUM64, (replicates, height, width) each."""
+    def __init__(self, parts: Sequence[Sums], shape: tuple[int, int, int], empty: Empty = np.empty) -> None:
         self.shape = shape
         self._parts = parts
         self._empty = empty
         self._fields: dict[str, NDArray[Any]] = {}
-        self._common: dict[str, int | None] = {}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._fields:
@@ -152,66 +148,45 @@ class FoldedSums(Mapping[str, NDArray[Any]]):
         return self._fields[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(SUM64.names or ())
+        return iter(NAMES)
 
     def __len__(self) -> int:
-        return len(SUM64.names or ())
+        return len(NAMES)
 
     def of_replicates(self, chosen: slice) -> FoldedSums:
         """Those of some replicates alone."""
-        parts = [part[chosen] for part in self._parts]
         count = len(range(*chosen.indices(self.shape[0])))
-        return FoldedSums(parts, (count, *self.shape[1:]), self._empty)
+        return FoldedSums([part[chosen] for part in self._parts], (count, *self.shape[1:]), self._empty)
 
     def planes(self) -> NDArray[np.float64]:
-        """(channels, replicates, height, width), to be written over. One plane after the other: numpy reads rows of four, one
-        at a time, several times as slowly. The counts that a look asks for are compared while a node is in the cache."""
-        planes = self._empty((4, *self.shape))
-        counts: dict[str, list[int | None]] = {"taken": [], "rejected": []}
+        """(channels, replicates, height, width), to be written over."""
+        planes = self._empty((CHANNELS, *self.shape))
         if not self._parts:
             planes[...] = 0.0
         for number, part in enumerate(self._parts):
-            for channel, plane in enumerate(planes):
-                if number == 0:
-                    plane[...] = part["rgba"][..., channel]
-                else:
-                    plane += part["rgba"][..., channel]
-            for name, of_nodes in counts.items():
-                of_nodes.append(_common(part[name]))
-        for name, of_nodes in counts.items():
-            self._common[name] = _total(of_nodes)
+            if number == 0:
+                planes[...] = part.planes
+            else:
+                planes += part.planes
         return planes
 
     def common(self, name: str) -> int | None:
         """The count that every pixel has in every replicate, None where they differ in a node: known without adding any up."""
-        if name not in self._common:
-            self._common[name] = _total([_common(part[name]) for part in self._parts])
-        return self._common[name]
+        counts = [part.common(name) for part in self._parts]
+        return None if None in counts else sum(filter(None, counts))
 
     def total(self, name: str) -> int:
         """A count over all pixels and replicates."""
-        common = self.common(name)
-        return int(self[name].sum(dtype=np.uint64)) if common is None else common * math.prod(self.shape)
+        return sum(part.total(name) for part in self._parts)
 
     def _counts(self, name: str) -> NDArray[Any]:
-        if not self._parts:
-            return np.zeros(self.shape, SUM64[name])
-        total = self._parts[0][name].astype(SUM64[name])
-        for part in self._parts[1:]:
+        total: NDArray[Any] = np.zeros(self.shape, np.uint64 if name == "rays" else np.uint32)
+        for part in self._parts:
             if name == "rejected_in":
                 total |= part[name]
             else:
                 total += part[name]
         return total
-
-
-def _common(counts: NDArray[Any]) -> int | None:
-    most = counts.max()
-    return int(most) if most == 0 or counts.min() == most else None
-
-
-def _total(counts: list[int | None]) -> int | None:
-    return None if None in counts else sum(filter(None, counts))
 
 
 def _layers_of(parts: list[SumNode]) -> NDArray[Any] | None:

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.nodes import Tile
+from penumbra_kernels.sums import Sums
 
 from penumbra_service.film import flags
 from penumbra_service.film.accumulator import FoldedSums
@@ -111,14 +112,14 @@ class PixelStatistics:
 
 def pixel_statistics(
     tile: Tile,
-    sums: NDArray[Any] | FoldedSums,
+    sums: Sums | FoldedSums,
     *,
     deterministic: bool = False,
     empty: Empty = np.empty,
     of_alpha: bool = True,
 ) -> PixelStatistics:
-    """Statistics of a tile's sums, (replicates, height, width) of SUM or SUM64, which hold all of its samples, in arrays that
-    `empty` makes. of_alpha: whether alpha's variance is asked for."""
+    """Statistics of a tile's sums, which hold all of its samples, in arrays that `empty` makes. of_alpha: whether alpha's
+    variance is asked for."""
     folded = sums if isinstance(sums, FoldedSums) else FoldedSums([sums], sums.shape, empty)
     given = _replicates_of(folded, empty)
     mean = given.centre

@@ -18,12 +18,14 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
-from penumbra_kernels.layout import LAYERS, SUM
-from penumbra_kernels.nodes import FLOAT32_SAMPLES, SUM64, SumNode, Tile
+from numpy.typing import NDArray
+from penumbra_kernels.layout import LAYERS
+from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile
+from penumbra_kernels.sums import Sums, empty_sums
 
 from penumbra_service.film.accumulator import TileAccumulator
 
-MAGIC: Final = b"PENUTIL1"
+MAGIC: Final = b"PENUTIL2"
 
 
 class TileStore(Protocol):
@@ -139,20 +141,23 @@ def _decode(data: bytes, tile: Tile, replicates: int, key: str) -> TileAccumulat
     shape = (replicates, tile.height, tile.width)
     nodes = []
     for first, count, has_layers in header["nodes"]:
-        sums, at = _array(data, at, SUM if count <= FLOAT32_SAMPLES else SUM64, shape)
+        sums, at = _sums(data, at, empty_sums(shape, wide=count > FLOAT32_SAMPLES))
         layers = None
         if has_layers:
-            layers, at = _array(data, at, LAYERS, shape)
+            layers, at = _filled(data, at, np.empty(shape, LAYERS))
         nodes.append(SumNode(tile, first, count, sums, layers))
     if at != len(data) - 4 or header["replicates"] != replicates:
         return None
     return TileAccumulator(tile, replicates, nodes)
 
 
-def _array(
-    data: bytes, at: int, dtype: np.dtype[Any], shape: tuple[int, ...]
-) -> tuple[np.ndarray[Any, Any], int]:
-    count = int(np.prod(shape))
-    # A copy: it must outlive the file's bytes, and arrays over bytes cannot be written to.
-    array = np.frombuffer(data, dtype, count, at).reshape(shape).copy()
-    return array, at + count * dtype.itemsize
+def _sums(data: bytes, at: int, sums: Sums) -> tuple[Sums, int]:
+    for array in (sums.planes, sums.counts, sums.rays):
+        _, at = _filled(data, at, array)
+    return sums, at
+
+
+def _filled(data: bytes, at: int, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
+    """The array with the bytes from `at` on, and where they end. Raises ValueError where there are too few."""
+    array[...] = np.frombuffer(data, array.dtype, array.size, at).reshape(array.shape)
+    return array, at + array.nbytes

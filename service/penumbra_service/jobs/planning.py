@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Final
 
-from penumbra_kernels.layout import LAYERS, SUM
-from penumbra_kernels.nodes import FLOAT32_SAMPLES, SUM64, Tile
+from penumbra_kernels.layout import LAYERS
+from penumbra_kernels.nodes import FLOAT32_SAMPLES, Tile
+from penumbra_kernels.sums import NARROW_BYTES, WIDE_BYTES
 
 from penumbra_service.film.levels import LevelMap
 
@@ -267,7 +268,7 @@ class LeasePlanner:
 
     def _bytes(self, item: WorkItem) -> int:
         # Nodes of up to FLOAT32_SAMPLES are smaller; layers may be absent: this is the bound.
-        entry = (SUM64.itemsize if item.count > FLOAT32_SAMPLES else SUM.itemsize) + LAYERS.itemsize
+        entry = (WIDE_BYTES if item.count > FLOAT32_SAMPLES else NARROW_BYTES) + LAYERS.itemsize
         return entry * self.replicates * item.tile.width * item.tile.height
 
     def _rate_on(self, device: str) -> _Rate:

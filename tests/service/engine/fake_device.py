@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from penumbra_kernels.allotment import Allotment
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import SumNode, Tile, merge
+from penumbra_kernels.sums import no_sums
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.device_process import (
     BuildRefusedError,
@@ -88,7 +88,7 @@ class FakeScene:
         if count > 1:
             half = count // 2
             return merge(self._node(tile, first, half), self._node(tile, first + half, half))
-        sums = np.zeros((self.spec.replicates, tile.height, tile.width), SUM)
+        sums = no_sums((self.spec.replicates, tile.height, tile.width))
         value = _uniform(self.scene.sampler.seed, tile, self.spec.replicates, first)
         for channel, weight in enumerate((1.0, 0.5, 2.0, 0.0)):
             sums["rgba"][..., channel] = np.float32(weight) * value

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import SumNode, Tile, merge
+from penumbra_kernels.sums import no_sums
 
 Draw = Callable[[Tile, int, int], NDArray[Any]]
 """(tile, replicates, sample index) -> (replicates, height, width, 4): one sample of every pixel and
@@ -17,7 +17,7 @@ replicate."""
 
 
 def _leaf(tile: Tile, replicates: int, index: int, draw: Draw) -> SumNode:
-    sums = np.zeros((replicates, tile.height, tile.width), SUM)
+    sums = no_sums((replicates, tile.height, tile.width))
     values = draw(tile, replicates, index).astype(np.float32)
     sums["rgba"] = values
     sums["taken"] = 1

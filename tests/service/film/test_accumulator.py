@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from penumbra_kernels.nodes import SUM64, Tile, aligned_ranges
+from penumbra_kernels.nodes import Tile, aligned_ranges
+from penumbra_kernels.sums import NAMES, no_sums
 from penumbra_service.film.accumulator import FoldedSums, TileAccumulator
 
 TILE = Tile(8, 16, 3, 2)
@@ -57,9 +58,8 @@ def test_fold_is_the_plain_sum(samples):  # type: ignore[no-untyped-def]
         tile.add(made.node(TILE, first, count))
     sums = tile.fold(11)
     plain = sum(made.draw(TILE, 3, i) for i in range(11))
-    assert {name: field.dtype for name, field in sums.items()} == {
-        name: base.base for name, (base, *_) in SUM64.fields.items()
-    }
+    wide = no_sums((1, 1, 1), wide=True)
+    assert {name: field.dtype for name, field in sums.items()} == {name: wide[name].dtype for name in NAMES}
     assert tile.fold_layers(11) is None
     np.testing.assert_allclose(sums["rgba"], plain, rtol=11 * 2.0**-24)
     assert sums.of_replicates(slice(1, None))["rgba"].tobytes() == sums["rgba"][1:].tobytes()
@@ -67,13 +67,15 @@ def test_fold_is_the_plain_sum(samples):  # type: ignore[no-untyped-def]
 
 def test_counts_that_all_pixels_share_are_told_from_others():
     shape = (3, 2, 3)
-    parts = [np.zeros(shape, SUM64), np.zeros(shape, SUM64)]
+    parts = [no_sums(shape, wide=True), no_sums(shape, wide=True)]
     for part, taken in zip(parts, (8, 3), strict=True):
         part["taken"] = taken
     sums = FoldedSums(parts, shape)
     assert (sums.common("taken"), sums.total("taken"), sums.total("rejected")) == (11, 11 * 3 * 2 * 3, 0)
-    parts[1]["taken"][1, 0, 1] += 2
-    other = FoldedSums(parts, shape)
+    uneven = no_sums(shape, wide=True)
+    uneven["taken"] = 3
+    uneven["taken"][1, 0, 1] += 2
+    other = FoldedSums([parts[0], uneven], shape)
     assert other.common("taken") is None
     assert other.total("taken") == sums.total("taken") + 2
 
@@ -132,4 +134,4 @@ def test_sums_beyond_256_samples_are_float64(samples):  # type: ignore[no-untype
     tile = TileAccumulator(Tile(0, 0, 1, 1), 1)
     for first in (256, 0):
         tile.add(made.node(Tile(0, 0, 1, 1), first, 256))
-    assert tile.nodes[0].sums.dtype == SUM64
+    assert tile.nodes[0].sums.wide

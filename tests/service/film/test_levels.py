@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from penumbra_kernels.allotment import LEVEL_NONE, own_samples
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import Tile
+from penumbra_kernels.sums import no_sums
 from penumbra_service.film import levels as level_file
 from penumbra_service.film.allocation import (
     MOST,
@@ -271,7 +271,7 @@ def test_spreading_pays_where_noise_is_uneven_and_not_where_only_chance_makes_it
     if uneven:
         noise[:, :24, :32] = 1 + 0.05 * (noise[:, :24, :32] - 1)
         noise[:, 24:] = 1 + 0.2 * (noise[:, 24:] - 1)
-    sums = np.zeros(noise.shape, SUM)
+    sums = no_sums(noise.shape)
     sums["rgba"] = noise[..., None]
     sums["taken"], sums["rays"] = 2, 6
     halves = [[pixel_statistics(window, part)] for part in (sums[:2], sums[2:])]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import Tile
+from penumbra_kernels.sums import no_sums
 from penumbra_service.film import flags
 from penumbra_service.film.develop import RGBA, Developed, float_channels, integer_channels
 from penumbra_service.film.merge import merge_bands, picture_error
@@ -88,7 +88,7 @@ def simulated(random: np.random.Generator, samples: Sequence[int], replicates: i
     """Renders of a constant picture of value 1 whose samples are exponential: V is known to be 1 / n."""
     parts = []
     for n in samples:
-        sums = np.zeros((replicates, *SHAPE), SUM)
+        sums = no_sums((replicates, *SHAPE))
         sums["taken"] = sums["lit"] = n // replicates
         drawn = random.gamma(n / replicates, 1.0, (replicates, *SHAPE))
         sums["rgba"] = drawn[..., None]

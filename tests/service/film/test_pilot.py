@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from penumbra_kernels.nodes import SUM64, Tile
+from penumbra_kernels.nodes import Tile
+from penumbra_kernels.sums import no_sums
 from penumbra_service.film.error import TileSummary, summarize
 from penumbra_service.film.grid import POOL_BLOCK
 from penumbra_service.film.pilot import (
@@ -78,7 +79,7 @@ def test_time_buys_rounds_first_and_blocks_then() -> None:
 
 def block(variance: float, value: float) -> TileSummary:
     """A block all of whose pixels are alike: two replicates, a standard error above and below the mean."""
-    sums = np.zeros((2, POOL_BLOCK, POOL_BLOCK), SUM64)
+    sums = no_sums((2, POOL_BLOCK, POOL_BLOCK), wide=True)
     sums["taken"] = sums["lit"] = 32
     off = math.sqrt(variance) * np.array([-1.0, 1.0])
     sums["rgba"] = 32 * (value + off)[:, None, None, None]

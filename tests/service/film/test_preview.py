@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import Tile
+from penumbra_kernels.sums import no_sums
 from penumbra_service.film.grid import TileGrid
 from penumbra_service.film.preview import Preview
 from penumbra_service.film.statistics import pixel_statistics
@@ -14,7 +14,7 @@ WINDOW = Tile(5, 3, 60, 40)
 
 def _put(preview, picture, tile):  # type: ignore[no-untyped-def]
     part = picture[:, tile.y - WINDOW.y :, tile.x - WINDOW.x :][:, : tile.height, : tile.width]
-    sums = np.zeros(part.shape[:3], SUM)
+    sums = no_sums(part.shape[:3])
     sums["rgba"] = part
     sums["taken"] = 1
     preview.put(pixel_statistics(tile, sums))

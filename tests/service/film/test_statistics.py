@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from penumbra_kernels.layout import SUM
 from penumbra_kernels.nodes import Tile
+from penumbra_kernels.sums import no_sums
 from penumbra_service.film import flags
 from penumbra_service.film.counts import count_pixels
 from penumbra_service.film.error import EPSILON, image_error, normal_quantile, summarize
@@ -27,7 +27,7 @@ SIX_SIGMA = 4.9
 def _sums(values, taken=1, lit=None):  # type: ignore[no-untyped-def]
     """(R, h, w) gray sums."""
     values = np.asarray(values, np.float64)
-    sums = np.zeros(values.shape, SUM)
+    sums = no_sums(values.shape)
     sums["rgba"][..., :3] = values[..., None]
     sums["rgba"][..., 3] = taken
     sums["taken"] = taken
@@ -89,8 +89,8 @@ def test_it_is_the_delete_one_jackknife():
 def test_equal_counts_make_no_difference(taken):  # type: ignore[no-untyped-def]
     """One pixel that has more samples than the others has the replicates' means formed one by one, theirs too."""
     rng = np.random.default_rng(taken)
-    sums = _sums(taken * rng.random((R, 8, 8)), taken=taken)
-    other = sums.copy()
+    values = taken * rng.random((R, 8, 8))
+    sums, other = _sums(values, taken=taken), _sums(values, taken=taken)
     other["taken"][:, 7, 7] += 1
     one, apart = _stats(sums), _stats(other)
     assert (one.scale, apart.scale) == (taken, 1)

@@ -1,4 +1,4 @@
-// Bits of Sum.rejected_in: what a rejected sample's path had met, so that the receipt can say where NaNs come from.
+// Bits of a node's rejected_in: what a rejected sample's path had met, so that the receipt can say where NaNs come from.
 #define EFFECT_LENS 1u
 #define EFFECT_MOTION 2u
 #define EFFECT_AREA_LIGHT 4u

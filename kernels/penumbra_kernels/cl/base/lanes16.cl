@@ -126,6 +126,19 @@ static inline uint16 gather_u16(const __global uint *from, const uint16 index, c
 }
 #endif
 
+// Word index[k] % 16 of sixteen, in each lane.
+#if PENUMBRA_512
+static inline uint16 words_of16(const uint16 words, const uint16 index) {
+  return as_uint16(__builtin_ia32_permvarsi512(as_int16(words), as_int16(index)));
+}
+#else
+static inline uint16 words_of16(const uint16 words, const uint16 index) {
+  uint16 out;
+  for (uint i = 0u; i < LANES; i++) LANE_U(out, i) = LANE_U(words, LANE_U(index, i) % LANES);
+  return out;
+}
+#endif
+
 // Four words in a row, one row a lane.
 typedef struct {
   float16 x, y, z, w;

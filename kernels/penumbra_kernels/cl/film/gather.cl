@@ -65,19 +65,22 @@ static inline void gather_layers(Gather *gather, const uint i, const PathSample 
 #endif
 }
 
-// Writes the node of `count` samples. layers: null where there are none.
-static inline void gather_write(const Gather *gather, const uint count, __global Layers *layers, __global Sum *out) {
+// Writes the node of `count` samples: the entry of each plane that `out` is in the first one, planes of `entries` each. layers: null
+// where there are none.
+static inline void gather_write(const Gather *gather, const uint count, const uint entries, __global Layers *layers,
+                                __global uint *out) {
   const uint top = level_of(MAX(count, 1u));
+  const size_t plane = entries;
   const float4 sum = gather->levels[top];
-  out->rgba[0] = sum.x;
-  out->rgba[1] = sum.y;
-  out->rgba[2] = sum.z;
-  out->rgba[3] = sum.w;
-  out->taken = gather->taken;
-  out->lit = gather->lit;
-  out->rejected = gather->rejected;
-  out->rejected_in = gather->rejected_in;
-  out->rays = gather->rays;
+  out[SUM_RGBA * plane] = as_uint(sum.x);
+  out[(SUM_RGBA + 1u) * plane] = as_uint(sum.y);
+  out[(SUM_RGBA + 2u) * plane] = as_uint(sum.z);
+  out[(SUM_RGBA + 3u) * plane] = as_uint(sum.w);
+  out[SUM_TAKEN * plane] = gather->taken;
+  out[SUM_LIT * plane] = gather->lit;
+  out[SUM_REJECTED * plane] = gather->rejected;
+  out[SUM_REJECTED_IN * plane] = gather->rejected_in;
+  out[SUM_RAYS * plane] = gather->rays;
 #if PENUMBRA_LAYERS
   const float4 albedo_depth = gather->albedo_depth[top], normal = gather->normal[top];
   layers->albedo_depth[0] = albedo_depth.x;

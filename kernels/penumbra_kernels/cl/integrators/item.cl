@@ -121,7 +121,7 @@ static inline float4 item_sample(const Launch *launch, Item *item, const uint i,
 
 // layers: null where there are none. drawn: DRAWN_COUNT numbers (counting draws), else null.
 static PENUMBRA_NOINLINE void trace_item(const Launch *launch, const uint number, __global Layers *layers, __global uint *drawn,
-                                         __global Sum *out) {
+                                         __global uint *out) {
   Item item = item_at(launch, number);
 #if PENUMBRA_COUNT_DRAWS
   uint counted[DRAWN_COUNT];
@@ -136,7 +136,7 @@ static PENUMBRA_NOINLINE void trace_item(const Launch *launch, const uint number
     tree_add(gather.levels, i, leaf(value, item.share.thinned));
     gather_layers(&gather, i, &sample, item.share.thinned);
   }
-  gather_write(&gather, item.share.count, layers, out);
+  gather_write(&gather, item.share.count, launch->params->item_count, layers, out);
 #if PENUMBRA_COUNT_DRAWS
   for (uint k = 0; k < DRAWN_COUNT; k++) drawn[k] = counted[k];
 #endif

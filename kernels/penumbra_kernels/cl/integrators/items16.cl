@@ -136,6 +136,19 @@ static inline void gather_batch(const Batch16 *batch, const float16 *weight, con
 // Samples that a batch takes. Large trees want the cache for themselves.
 static inline uint room_of(const __global Params *params) { return params->options & OPTION_TOGETHER ? BATCH : BATCH / 2u; }
 
+// Whether the samples of n items are even.
+static inline void note_even(Samples *samples, const Item *items, const uint n) {
+#if PENUMBRA_ROWS
+  samples->even = n <= FEW_SAMPLERS;
+  samples->shift = level_of(MAX(items->share.count, 1u));
+  samples->keys = 0ul;
+  for (uint k = 0u; k < n && samples->even; k++) {
+    samples->even = items[k].share.count == items->share.count && items[k].share.first == items->share.first;
+    ((ulong *)&samples->keys)[k] = samples->samplers[k].key;
+  }
+#endif
+}
+
 // Items from number `first` on, of those before `end`: one that fills a batch, or as many as have room in one. samples: `count` in all,
 // the first of each item.
 static inline uint fill_batch(const Launch *launch, const uint first, const uint end, Item *items, Sampler *samplers, Samples *samples,
@@ -155,6 +168,7 @@ static inline uint fill_batch(const Launch *launch, const uint first, const uint
   }
   for (uint k = *count; k < BATCH; k++) samples->of[k] = 0u;
   samples->samplers = samplers;
+  note_even(samples, items, n);
   return n;
 }
 
@@ -177,7 +191,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void trace_samples(const Launch *launch, 
 // All samples of some items from number `first` on, of those before `end`; how many items they were. layers: null where there are
 // none. drawn: DRAWN_COUNT numbers an item (counting draws), else null.
 static PENUMBRA_NOINLINE PENUMBRA_WIDE uint trace_items16(const Launch *launch, const uint first, const uint end,
-                                                          __global Layers *layers, __global uint *drawn, __global Sum *sums) {
+                                                          __global Layers *layers, __global uint *drawn, __global uint *sums) {
   Item items[MAX_ITEMS];
   Sampler samplers[MAX_ITEMS];
   Gather gathers[MAX_ITEMS];
@@ -203,7 +217,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE uint trace_items16(const Launch *launch, 
   }
   for (uint j = 0u; j < n; j++) {
     const uint entry = entry_of(launch->params, first + j);
-    gather_write(gathers + j, items[j].share.count, layers + entry, sums + entry);
+    gather_write(gathers + j, items[j].share.count, launch->params->item_count, layers + entry, sums + entry);
 #if PENUMBRA_COUNT_DRAWS
     for (uint k = 0u; k < DRAWN_COUNT; k++) drawn[entry * DRAWN_COUNT + k] = counted[j][k];
 #endif

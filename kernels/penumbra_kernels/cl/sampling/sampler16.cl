@@ -10,12 +10,19 @@
   ((PENUMBRA_SAMPLER == SAMPLER_SOBOL || PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT) &&      \
    !PENUMBRA_PICK_FREEZE && !PENUMBRA_COUNT_DRAWS)
 
+#define FEW_SAMPLERS 8u
+
 // Samples that are traced together, by their numbers among them: those of a pixel and replicate stand together, with consecutive
 // indices, the pixels in their order.
 typedef struct {
   const Sampler *samplers;  // one a pixel and replicate
   uchar of[BATCH];          // which of them is each sample's
   ulong index[BATCH];       // of each sample
+#if PENUMBRA_ROWS
+  bool even;    // there are at most FEW_SAMPLERS, each of 2^shift samples from the same index on
+  uint shift;
+  ulong8 keys;  // theirs, where that is so
+#endif
 } Samples;
 
 typedef struct {
@@ -28,7 +35,8 @@ typedef struct {
   ulong high;            // and this
   uint16 low;            // of the indices, their low halves
   uint16 element;        // what draw_row_1d and _2d take for these
-  ulong16 keys;          // the samplers', a lane each, where they are several
+  uint16 word;           // where the samplers are even: of their keys, the low half of each lane's; the high one follows
+  ulong16 keys;          // where they are not, and several: a lane each
 #endif
 } Sampler16;
 
@@ -54,7 +62,10 @@ static inline void sampler_start16(const Samples *samples, const uint16 number, 
   s->high = index >> 32;
   s->rows = samples->index[end] >> 32 == s->high;
   s->low = number + ((uint)index - start);
-  if (!s->one) {
+  if (!s->one && samples->even) {
+    s->low = (uint)samples->index[0] + (number & ((1u << samples->shift) - 1u));
+    s->word = (number >> samples->shift) * 2u;
+  } else if (!s->one) {
     s->keys = s->first->key;
     for (uint k = 0u; k < count; k++) {
       const uint at = LANE_U(s->number, k);
@@ -80,6 +91,11 @@ static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
   return s->high ? hash_combine16(keys, s->high) : keys;
 }
 
+static inline ulong8 even_keys_of(const Sampler16 *s, const ulong dim) {
+  const ulong8 keys = hash_combine8(s->samples->keys, dim);
+  return s->high ? hash_combine8(keys, s->high) : keys;
+}
+
 static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->first, dim, s->high << 32); }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
@@ -88,8 +104,17 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, cons
     *x = sobol_x16(shuffled16(*element, (uint16)((uint)key)), (uint16)((uint)(key >> 32)));
     return;
   }
-  const ulong16 keys = keys_of(s, dim);
-  *x = sobol_x16(shuffled16(*element, low_half16(keys)), high_half16(keys));
+  uint16 low, high;
+  if (s->samples->even) {
+    const uint16 keys = as_uint16(even_keys_of(s, dim));
+    low = words_of16(keys, s->word);
+    high = words_of16(keys, s->word + 1u);
+  } else {
+    const ulong16 keys = keys_of(s, dim);
+    low = low_half16(keys);
+    high = high_half16(keys);
+  }
+  *x = sobol_x16(shuffled16(*element, low), high);
 }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
@@ -102,11 +127,23 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
     p->y = sobol_y16(shuffled, (uint16)((uint)more));
     return;
   }
-  const ulong16 keys = keys_of(s, dim), more = mix64_16(keys);
-  uint16 shuffled = shuffled16(*element, low_half16(shuffle == dim ? keys : keys_of(s, shuffle)));
+  uint16 key, low, high;
+  if (s->samples->even) {
+    const ulong8 keys = even_keys_of(s, dim), shuffling = shuffle == dim ? keys : even_keys_of(s, shuffle);
+    const uint16 more = as_uint16(mix64_8(keys));
+    key = words_of16(as_uint16(shuffling), s->word);
+    low = words_of16(more, s->word);
+    high = words_of16(more, s->word + 1u);
+  } else {
+    const ulong16 keys = keys_of(s, dim), more = mix64_16(keys);
+    key = low_half16(shuffle == dim ? keys : keys_of(s, shuffle));
+    low = low_half16(more);
+    high = high_half16(more);
+  }
+  uint16 shuffled = shuffled16(*element, key);
   if (dim == DIM_PIXEL) shuffled = joined16(shuffled);
-  p->x = sobol_x16(shuffled, high_half16(more));
-  p->y = sobol_y16(shuffled, low_half16(more));
+  p->x = sobol_x16(shuffled, high);
+  p->y = sobol_y16(shuffled, low);
 }
 #endif
 
@@ -114,7 +151,12 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim, const uint16 *element) {
   const ulong16 whole = to_ulong16(*element) | (s->high << 32);
   ulong16 keys = hash_combine(s->first->key, dim);
-  if (!s->one) keys = hash_combine16(s->keys, dim);
+  if (!s->one && s->samples->even) {
+    const uint16 words = as_uint16(hash_combine8(s->samples->keys, dim));
+    keys = to_ulong16(words_of16(words, s->word)) | to_ulong16(words_of16(words, s->word + 1u)) << 32ul;
+  } else if (!s->one) {
+    keys = hash_combine16(s->keys, dim);
+  }
   return mix64_16(keys + HASH_STEP * (whole + 1ul));
 }
 
