@@ -1,12 +1,12 @@
 """A process that builds programs into the cache, and the handle that others hold on it.
 
-    python -m penumbra_kernels.compiler --device pocl:0    reads one JSON object of flags a line, answers each with a line
+    python -m penumbra_kernels.compiler --device pocl:0    reads an order a line, answers each with a line
 
 Compiling stalls all queues of the process that does it, and a driver may abort that process; so neither a device's own process
 nor a command compiles while it has other things to do. What is built is found in the cache (cache.py) by whoever wants it.
 
 A device's process forks its compiler before the driver is in it (`fork`): that one has all modules already, and is ready .15 s
-sooner than one that starts from nothing. Such a process is told its device by its first line.
+sooner than one that starts from nothing. It builds nothing itself, but forks what does, so that it stays small (_live).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING, Any, Final, Protocol
 
 from penumbra_kernels import cache, pocl_cache
+from penumbra_kernels.child import die_with
 from penumbra_kernels.device import KIND_CPU, BuildError, Device, DeviceError, devices, import_bindings
 from penumbra_kernels.program import assemble
 from penumbra_kernels.tracer import build_program
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
 
 COMMAND: Final = (sys.executable, "-m", "penumbra_kernels.compiler")
 STANDARD_INPUT, STANDARD_OUTPUT, STANDARD_ERROR = range(3)
+IDLE_SECONDS: Final = 30.0
+"""After its last order, until what builds for a forked process ends."""
+_ENDED, _IDLE = 0, 3
+"""Exit statuses of what builds: no order will come; none has come for long."""
 
 
 @dataclass(frozen=True)
@@ -103,22 +108,46 @@ def fork() -> Fork | None:
 
 
 def _live(orders: int, answers: int) -> None:
-    """The whole life of a forked process."""
+    """The whole life of a forked process. What has a driver and its compiler in it is large, so that others build: a process
+    forked for orders that come close together, which ends once none has come for IDLE_SECONDS. What waits is small."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # it reaches all of a group; our parent's end is ours
         os.dup2(orders, STANDARD_INPUT)
         os.dup2(answers, STANDARD_OUTPUT)
         os.closerange(STANDARD_ERROR + 1, os.sysconf("SC_OPEN_MAX"))
-        ready = _first_cpu() if cache.is_empty() else None
-        with open(STANDARD_INPUT, "rb", 0, closefd=False) as told:
-            if first := told.readline():
-                name = json.loads(first)["device"]
-                _serve(ready if ready is not None and ready.info.id == name else Device(name), told)
+        soon = cache.is_empty()
+        while (soon or _comes()) and _build_apart(soon) == _IDLE:
+            soon = False
     except BaseException as error:  # nothing of our parent's may go on here
         print(f"the compiler's process ends: {error}", file=sys.stderr, flush=True)
     finally:
-        pocl_cache.leave_scratch()
         os._exit(0)
+
+
+def _comes() -> bool:
+    """Waits for an order, which is left where it is; False where none will come."""
+    waiting = select.poll()
+    waiting.register(STANDARD_INPUT, select.POLLIN)
+    return any(events & select.POLLIN for _, events in waiting.poll())
+
+
+def _build_apart(soon: bool) -> int:
+    """Have a process build what is ordered; its exit status. soon: it loads the compiler of this machine's CPU at once."""
+    parent = os.getpid()
+    pid = os.fork()
+    if pid:
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    status = _ENDED
+    try:
+        die_with(parent)
+        ready = _first_cpu() if soon else None
+        with open(STANDARD_INPUT, "rb", 0, closefd=False) as told:
+            status = _serve(ready, told, IDLE_SECONDS)
+    except BaseException as error:
+        print(f"the compiler's process ends: {error}", file=sys.stderr, flush=True)
+    finally:
+        pocl_cache.leave_scratch()
+        os._exit(status)
 
 
 def _first_cpu() -> Device | None:
@@ -146,12 +175,11 @@ class Compiler:
         if self._process is None:
             self._start()
         self._orders += 1
-        self._write(dict(flags))
+        self._write({"device": self._device_id, "flags": dict(flags)})
 
     def _start(self) -> None:
         if self._forked is not None:
             self._process, self._forked = self._forked, None
-            self._write({"device": self._device_id})
             return
         self._process = subprocess.Popen(
             [*COMMAND, "--device", self._device_id],
@@ -201,17 +229,23 @@ class Compiler:
         self._process = None
 
 
-def _serve(device: Device, orders: IO[bytes]) -> None:
-    """Build what is ordered, until the orders end."""
-    while line := orders.readline():
+def _serve(device: Device | None, orders: IO[bytes], patience: float | None = None) -> int:
+    """Build what is ordered, until the orders end, or none has come for `patience` seconds; an exit status that says which."""
+    while select.select([orders], [], [], patience)[0]:
+        if not (line := orders.readline()):
+            return _ENDED
+        order = json.loads(line)
+        if device is None or device.info.id != order["device"]:
+            device = Device(order["device"])
         started, before = time.perf_counter(), device.builds
         problem = None
         try:
-            build_program(device, json.loads(line))
+            build_program(device, order["flags"])
         except BuildError as error:
             problem = str(error)
         built = Built(time.perf_counter() - started, device.builds > before, problem)
         os.write(STANDARD_OUTPUT, json.dumps(asdict(built)).encode() + b"\n")
+    return _IDLE
 
 
 def main() -> None:

@@ -111,6 +111,43 @@ def test_a_forked_compiler_builds_can_be_replaced_and_ends_with_its_parent(own: 
     assert not list((own / "scratch").glob("pocl-*")), "a forked process leaves its scratch folder"
 
 
+IDLING = """
+import json, sys, time
+from pathlib import Path
+from penumbra_kernels import compiler as module
+module.IDLE_SECONDS = 0.2
+forked = module.fork()
+compiler = module.Compiler(sys.argv[1], forked)
+
+def builders():
+    return Path(f"/proc/{forked.pid}/task/{forked.pid}/children").read_text().split()
+
+def until(said):
+    end = time.monotonic() + 60
+    while not said():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+for again in range(2):
+    compiler.order(json.loads(sys.argv[2]))
+    built = compiler.answer()
+    assert built.problem is None and not built.died, built
+    assert built.built == (again == 0), built
+    until(lambda: not builders())
+maps = Path(f"/proc/{forked.pid}/maps").read_text()
+assert "libpocl" not in maps, "no driver in what waits"
+compiler.close()
+"""
+
+
+def test_what_builds_goes_when_it_is_idle_and_comes_again(own: Path, device: Device) -> None:
+    words = [sys.executable, "-c", IDLING, device.info.id, json.dumps(FLAGS)]
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not list((own / "scratch").glob("pocl-*"))
+
+
 def test_a_process_with_threads_forks_no_compiler() -> None:
     done = threading.Event()
     thread = threading.Thread(target=done.wait)
