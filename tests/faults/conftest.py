@@ -299,6 +299,10 @@ class Service:
         answer.raise_for_status()
         return answer
 
+    def post(self, path: str) -> None:
+        """A POST without a body, which must be taken."""
+        httpx.post(self._url + path, timeout=30).raise_for_status()
+
     def submit(self, document: dict[str, Any]) -> str:
         answer = httpx.post(self._url + "/v1/jobs", json=document, timeout=60)
         answer.raise_for_status()

@@ -92,10 +92,15 @@ def test_a_killed_service_goes_on_from_its_snapshot(pocl_service, render, tmp_pa
         return list((tmp_path / "data" / "work").rglob("*.tile"))
 
     def disturb() -> None:
+        (job,) = pocl_service.get("/v1/jobs").json()["items"]
+        # A pause writes a snapshot: jobs of seconds are done before their first one is due.
+        pocl_service.post(f"/v1/jobs/{job['id']}/pause")
         end = time.monotonic() + 60
         while not snapshots():
             assert time.monotonic() < end, "no snapshot was written"
             time.sleep(0.02)
+        pocl_service.post(f"/v1/jobs/{job['id']}/resume")
+        pocl_service.wait(job["id"], lambda status: status["state"] in ("compiling", "rendering"))
         pocl_service.kill()
         pocl_service.start()
 
@@ -174,7 +179,17 @@ def test_a_device_whose_process_dies_three_times_is_blocked(pocl_farm, pocl_serv
 def test_a_worker_that_joins_late_gets_work(pocl_farm, render):  # type: ignore[no-untyped-def]
     pocl_farm.kill("two")
     pocl_farm.wait_until(lambda: "two" not in pocl_farm.up(), "the worker has left")
-    (receipt,) = render(lambda: pocl_farm.add_worker("late"), share=0.02)
+
+    def disturb() -> None:
+        other = pocl_farm.device_pid("one")
+        os.kill(other, signal.SIGSTOP)  # the job shall not be done before the other is there
+        try:
+            pocl_farm.add_worker("late")
+            pocl_farm.wait_for("late")
+        finally:
+            os.kill(other, signal.SIGCONT)
+
+    (receipt,) = render(disturb, share=0.02)
     pocl_farm.kill("late")
     late = next(use for use in receipt["devices"] if use["id"] == "pocl:0@late")
     assert late["leases"] > 0
