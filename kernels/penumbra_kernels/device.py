@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from penumbra_kernels import cache, pocl_cache
+from penumbra_kernels import cache, pocl_cache, pocl_front_end
 from penumbra_kernels.aligned import aligned
 from penumbra_kernels.pocl_target import UNKNOWN, name_target
 from penumbra_kernels.program import BUILD_OPTIONS, assemble, settle
@@ -161,7 +161,9 @@ class Device:
 
     def macros(self, flags: Mapping[str, int]) -> dict[str, int]:
         """Of trace.cl with these flags, which may hold some of the device's kind too, to build another kind's variant."""
-        return settle({**self.flags, **flags})
+        merged = settle({**self.flags, **flags})
+        bare = merged["PENUMBRA_BUILTINS"] and pocl_front_end.is_known(self.info.platform_version)
+        return {**merged, "PENUMBRA_BARE": int(bare)}
 
     def build(
         self,
@@ -187,7 +189,7 @@ class Device:
             return known
         try:
             program: cl.Program = cl.Program(self.context, source)
-            program.build(list(self.options))
+            program.build([*self.options, *pocl_front_end.options_of(bool(macros.get("PENUMBRA_BARE")))])
         except cl.Error as error:
             raise BuildError(
                 f"{entry} does not build on {self.info.id} ({self.info.name}):\n{error}"
@@ -205,8 +207,9 @@ class Device:
         read. Raises nothing: whoever builds is told."""
         import pyopencl as cl
 
+        bare = pocl_front_end.options_of(pocl_front_end.is_known(self.info.platform_version))
         with suppress(cl.Error):
-            cl.Program(self.context, "__kernel void nothing(void) {}").build(list(self.options))
+            cl.Program(self.context, "__kernel void nothing(void) {}").build([*self.options, *bare])
 
     def cache_key(self, source: str) -> str:
         """Names the program of a flattened source on this device."""
@@ -285,7 +288,7 @@ def _options(device: cl.Device) -> tuple[str, ...]:
     NVIDIA's driver fewer registers a thread, which changes no bits."""
     import pyopencl as cl
 
-    options = list(BUILD_OPTIONS)
+    options = [*BUILD_OPTIONS, *pocl_front_end.options(device.platform.version)]
     if device.type & cl.device_type.GPU:
         if device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
             options.append("-cl-fp32-correctly-rounded-divide-sqrt")

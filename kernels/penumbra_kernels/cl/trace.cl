@@ -7,6 +7,9 @@
 //
 // This file alone decides which effects a program has, by 0/1 macros; every argument stands in tracer.py's table in the same
 // order under the same conditions.
+#if PENUMBRA_BARE
+#include "base/library.h"
+#endif
 #include "base/types.h"
 #define PENUMBRA_LANES (PENUMBRA_TOGETHER && !PENUMBRA_DEVICE_GPU && !PENUMBRA_COMPACT_TREE && PENUMBRA_SAMPLER != SAMPLER_RANDOM)
 #include "integrators/item.cl"
