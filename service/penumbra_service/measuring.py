@@ -40,6 +40,8 @@ class Request:
     """None: the first."""
     budget: float
     """Seconds of tracing, about."""
+    shadow_rays: int = 0
+    """That hits take; 0: the scene's."""
 
 
 def measure_effects(request: Request) -> EffectsMeasured:
@@ -63,11 +65,17 @@ def measure_effects(request: Request) -> EffectsMeasured:
 
 
 def for_receipt(
-    folder: Path, time: float, devices: Iterable[str], assets: Path, scene_folder: Path | None = None
+    folder: Path,
+    time: float,
+    devices: Iterable[str],
+    assets: Path,
+    scene_folder: Path | None = None,
+    shadow_rays: int = 0,
 ) -> tuple[EffectsMeasured | None, tuple[str, ...]]:
     """The table of a picture, and warnings: a picture that is done is not lost because nothing could be measured.
 
-    folder: the picture's own, with its scene. devices: that rendered; the first is measured.
+    folder: the picture's own, with its scene. devices: that rendered; the first is measured. shadow_rays: that its hits took,
+    0: the scene's.
     """
     request = Request(
         scene=str(folder / "scene.json"),
@@ -76,6 +84,7 @@ def for_receipt(
         time=time,
         device=next(iter(devices), None),
         budget=RECEIPT_BUDGET,
+        shadow_rays=shadow_rays,
     )
     try:
         return measure_effects(request), ()

@@ -178,8 +178,10 @@ class PictureRunner:
     def _measure(self, picture: Picture, result: RunResult) -> tuple[EffectsMeasured | None, tuple[str, ...]]:
         if not picture.measure_effects:
             return None, ()
-        devices = [use.id for use in result.record.devices.values()]
-        return for_receipt(picture.folder, picture.time, devices, self._assets, self._scene_folder)
+        record = result.record
+        devices = [use.id for use in record.devices.values()]
+        rays = record.adaptive.shadow_rays if record.adaptive else 0
+        return for_receipt(picture.folder, picture.time, devices, self._assets, self._scene_folder, rays)
 
     def _reporter(self, picture: Picture) -> Callable[[JobState, Progress], None]:
         used: set[str] = set()

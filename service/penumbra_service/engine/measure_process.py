@@ -56,7 +56,10 @@ class Measurement:
     def __init__(self, request: Request, device: Device) -> None:
         self.request, self.device = request, device
         scene = parse_scene(Path(request.scene).read_bytes(), allow_files=True)
-        self.scene = scene.model_copy(update={"adaptive": None})  # blocks take the same samples everywhere
+        rays = request.shadow_rays or scene.integrator.shadow_rays
+        integrator = scene.integrator.model_copy(update={"shadow_rays": rays})
+        # Blocks take the same samples everywhere.
+        self.scene = scene.model_copy(update={"adaptive": None, "integrator": integrator})
         self.plan = SamplePlan(REPLICATES, SAMPLES)
         window = self.scene.film.window
         self.window = Tile(window.x, window.y, window.width, window.height)

@@ -38,6 +38,27 @@ def test_a_scenes_effects_are_measured_in_seconds_and_in_noise(tmp_path: Path) -
 
 
 @pytest.mark.skipif(not devices(), reason="no OpenCL device")
+def test_effects_are_those_of_a_picture_with_its_own_number_of_shadow_rays(tmp_path: Path) -> None:
+    """An adaptive picture may have taken fewer than the scene asks for: its noise is that of a scene with so many."""
+    lamp = {
+        "type": "quad",
+        "origin": [-1, 3, -1],
+        "u": [2, 0, 0],
+        "v": [0, 0, 2],
+        "emission": {"radiance": 3},
+    }
+    noise = {}
+    for name, given, taken in (("four", 4, 0), ("one of four", 4, 1), ("one", 1, 0)):
+        path = tmp_path / f"{name}.json"
+        integrator = {"max_bounces": 0, "shadow_rays": given}
+        path.write_text(json.dumps({**SCENE, "shapes": [*SCENE["shapes"], lamp], "integrator": integrator}))
+        measured = measure_effects(Request(str(path), None, None, 0.0, None, 0.1, taken))
+        noise[name] = [(row.group, row.alone) for row in measured.noise]
+    assert noise["one of four"] == noise["one"]
+    assert dict(noise["one"])["lights"] > dict(noise["four"])["lights"]
+
+
+@pytest.mark.skipif(not devices(), reason="no OpenCL device")
 def test_errors_of_a_film_of_one_block_are_said_to_be_unknown(tmp_path: Path) -> None:
     path = tmp_path / "scene.json"
     path.write_text(json.dumps({**SCENE, "film": {"width": 8, "height": 8}}))
