@@ -14,6 +14,7 @@ from fastapi.responses import Response
 from penumbra_scene.errors import MEDIA_TYPE, Problem, ProblemError, ProblemItem, make_problem, shorten
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import Match
 
 from penumbra_service.service import ConflictError, QueueFullError, QuotaUsedError
 from penumbra_service.store.artifacts import NoSuchArtifactError
@@ -26,6 +27,7 @@ log = logging.getLogger(__name__)
 
 RETRY_AFTER: Final = "30"
 """Seconds after which somebody whom the queue had no room for may ask again."""
+_METHODS: Final = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 _KINDS: Final = {
     400: "bad-request",
     401: "unauthorized",
@@ -93,10 +95,19 @@ async def _http(request: Request, error: Exception) -> Response:
     detail = str(error.detail)
     if error.status_code == 404 and detail == HTTPStatus.NOT_FOUND.phrase:
         detail = f"there is nothing at {request.url.path}; /docs lists what there is"
+    headers = dict(error.headers or {})
     if error.status_code == 405:
-        accepted = (error.headers or {}).get("Allow", "")
-        detail = f"given {request.method} {request.url.path}, accepted: {accepted or 'another method'}"
-    return problem_response(plain_problem(error.status_code, detail), error.headers)
+        headers["Allow"] = ", ".join(_methods(request)) or headers.get("Allow", "")
+        detail = (
+            f"given {request.method} {request.url.path}, accepted: {headers['Allow'] or 'another method'}"
+        )
+    return problem_response(plain_problem(error.status_code, detail), headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """Those that any route takes there: a path may have several, of which the first one answers."""
+    routes, scope = request.app.routes, dict(request.scope)
+    return [m for m in _METHODS if any(r.matches({**scope, "method": m})[0] is Match.FULL for r in routes)]
 
 
 async def _invalid(_request: Request, error: Exception) -> Response:

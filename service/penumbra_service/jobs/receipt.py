@@ -122,6 +122,7 @@ def build_receipt(
             *_of_scene(scene),
             *record.warnings,
             *context.warnings,
+            *_black(counts),
             *_missed(scene, record, reason),
             *_of_few(record),
             *too_dark(record.points),
@@ -134,6 +135,13 @@ def _of_scene(scene: Scene) -> Iterator[str]:
     for found in check_scene(scene, allow_files=True):
         if found.warning:
             yield f"at {found.pointer or 'the top'}: {found.message}"
+
+
+def _black(counts: Counts) -> tuple[str, ...]:
+    """Where nothing was seen, which has no error either."""
+    if counts.lit or not counts.taken:
+        return ()
+    return ("no sample met light: the picture is black, and an error of 0 says nothing",)
 
 
 def _missed(scene: Scene, record: RunRecord, reason: StopReason) -> tuple[str, ...]:

@@ -175,8 +175,10 @@ def test_what_is_not_there_is_told(client: TestClient) -> None:
 
 def test_a_wrong_method_is_told_with_the_right_ones(client: TestClient) -> None:
     answer = client.put("/v1/jobs", json={})
-    problem_of(answer, 405)
-    assert answer.headers["allow"]
+    problem = problem_of(answer, 405)
+    assert answer.headers["allow"] == "GET, HEAD, POST", "of all routes of the path"
+    assert "accepted: GET, HEAD, POST" in problem.detail
+    assert client.post("/v1/devices").headers["allow"].startswith("GET")
 
 
 def test_parameters_are_checked(client: TestClient, scene: dict[str, Any]) -> None:

@@ -145,6 +145,14 @@ def test_an_error_that_few_pixels_carry_is_told(scene):  # type: ignore[no-untyp
         assert any("some 3 pixels carry" in warning for warning in told) == of_few
 
 
+def test_a_black_picture_is_told(scene):  # type: ignore[no-untyped-def]
+    """A camera inside of a ball sees nothing, with an error of 0."""
+    for lit in (0, 1):
+        record = _record(counts=PixelCounts(640, lit, pixels=10))
+        told = build_receipt(scene, record, StopReason.SAMPLES, CONTEXT).warnings
+        assert any("the picture is black" in warning for warning in told) == (lit == 0)
+
+
 def test_a_dark_picture_is_told_that_the_floor_hides_its_error(scene):  # type: ignore[no-untyped-def]
     for floor, said in ((0.5, False), (0.96, True)):
         record = _record(points=[Point(64, 1.0, 1e-3, 2e-3, 0.5, 1e-3, 900.0, floor=floor)])
