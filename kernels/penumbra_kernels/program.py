@@ -15,8 +15,8 @@ from penumbra_kernels.layout import CONSTANTS
 
 CL_ROOT: Final = Path(__file__).parent / "cl"
 
-_IF: Final = re.compile(r"^\s*#\s*if")
-_ENDIF: Final = re.compile(r"^\s*#\s*endif")
+_BRANCH_BEGINS: Final = re.compile(r"\s*#\s*(if|el)")
+_BRANCH_ENDS: Final = re.compile(r"\s*#\s*e(l|ndif)")
 _INCLUDE: Final = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 
 BUILD_OPTIONS: Final = ("-cl-std=CL1.2",)
@@ -36,32 +36,35 @@ def settle(flags: Mapping[str, int]) -> dict[str, int]:
     return {name: 0 if name in LANES_ALONE else value for name, value in flags.items()}
 
 
-def flatten(text: str, name: str, unconditional: set[str], depth: int = 0) -> str:
+def flatten(text: str, name: str, blocks: list[set[str]]) -> str:
     """Inline every `#include "path"` (relative to cl/), keeping file names and lines for error messages.
 
-    unconditional: files whose text stands outside every #if so far; they are not written again. A file that is reached
-    inside an #if is written there under a guard, since that text may be compiled away.
-    depth: #if blocks around this text.
+    blocks: the files whose text stands in each of the #if blocks around this text, the outermost first. Such a file is not
+    written again; one that stands in a block that has ended is, under a guard, since its first text may be compiled away.
     """
     out = [f'#line 1 "{name}"']
     for number, line in enumerate(text.splitlines(), start=1):
-        depth += bool(_IF.match(line)) - bool(_ENDIF.match(line))
-        match = _INCLUDE.match(line)
-        if not match:
+        if not line.lstrip().startswith("#"):
             out.append(line)
-            continue
-        out.append(_included(match.group(1), unconditional, depth))
-        out.append(f'#line {number + 1} "{name}"')
+        elif match := _INCLUDE.match(line):
+            out.append(_included(match.group(1), blocks))
+            out.append(f'#line {number + 1} "{name}"')
+        else:
+            if _BRANCH_ENDS.match(line):
+                blocks.pop()
+            if _BRANCH_BEGINS.match(line):
+                blocks.append(set())
+            out.append(line)
     return "\n".join(out)
 
 
-def _included(path: str, unconditional: set[str], depth: int) -> str:
-    if path in unconditional:
+def _included(path: str, blocks: list[set[str]]) -> str:
+    if any(path in block for block in blocks):
         return ""
-    if depth == 0:
-        unconditional.add(path)
+    blocks[-1].add(path)
     guard = "PENUMBRA_HAS_" + re.sub(r"\W", "_", path).upper()
-    text = flatten((CL_ROOT / path).read_text(), path, unconditional, depth)
+    # The guard is no block of its own: where it leaves this text out, all that stands in it stands before.
+    text = flatten((CL_ROOT / path).read_text(), path, blocks)
     return f"#if !{guard}\n#define {guard} 1\n{text}\n#endif"
 
 
@@ -75,14 +78,14 @@ def assemble(entry: str, flags: Mapping[str, int], text: str | None = None) -> s
         if not re.fullmatch(r"PENUMBRA_[A-Z0-9_]+", key) or not isinstance(value, int):
             raise ValueError(f"flag {key}={value!r}: flags are PENUMBRA_* macros with integer values")
     prologue = "".join(f"#define {key} {int(value)}\n" for key, value in sorted(flags.items()))
-    body = _entry(entry) if text is None else flatten(text, entry, {entry})
+    body = _entry(entry) if text is None else flatten(text, entry, [{entry}])
     return prologue + "#pragma OPENCL FP_CONTRACT OFF\n" + body
 
 
 @cache
 def _entry(name: str) -> str:
     """A file under cl/, flattened. Once: a program's text is asked for several times, by its key and to build it."""
-    return flatten((CL_ROOT / name).read_text(), name, {name})
+    return flatten((CL_ROOT / name).read_text(), name, [{name}])
 
 
 _DEFINE: Final = re.compile(r"^\s*#\s*define\s+(\w+)(?:\s+(\w+|\(.*\)))?\s*$")

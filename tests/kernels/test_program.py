@@ -31,6 +31,26 @@ __kernel void k(__global float *out) { out[0] = exp_f(0.0f) + PI_F; }
         assert out[0] == pytest.approx(1 + np.pi)
 
 
+@pytest.mark.parametrize(
+    ("text", "times"),
+    [
+        ("{x}\n{x}", 1),
+        ("#if A\n{x}\n#if B\n{x}\n#endif\n{x}\n#endif", 1),
+        ("{x}\n#if A\n{x}\n#else\n{x}\n#endif", 1),
+        ("#if A\n{x}\n#else\n{x}\n#endif", 2),
+        ("#if A\n{x}\n#elif B\n{x}\n#endif\n{x}", 3),
+        ("#if A\n#if B\n{x}\n#endif\n{x}\n#endif\n{x}\n{x}", 3),
+    ],
+)
+def test_a_file_is_written_again_only_where_its_first_text_may_be_compiled_away(
+    text: str, times: int
+) -> None:
+    flat = assemble("test", {}, text.format(x='#include "base/lanes16.cl"'))
+    assert flat.count("#define LANES 16u") == times
+    # Whatever it includes itself goes with it.
+    assert flat.count("typedef struct {\n  float3 o;") == times
+
+
 def test_errors_name_our_files_and_lines(device: Device) -> None:
     with pytest.raises(BuildError, match=r"mine:2"):
         device.build("mine", {}, "\nfloat broken(;\n__kernel void k(__global float *out) {}")
