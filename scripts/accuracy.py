@@ -229,7 +229,8 @@ def _samplers(compared: dict[str, Any]) -> Iterator[str]:
     yield (
         f"`penumbra compare` on pictures of {width} x {height}. relMSE is against a reference of "
         f"{REFERENCE} samples; the last column is the share of the seconds that `independent` needs for the error "
-        f"of its {max(SAMPLES)} samples. `regular` has no error bar, and its error here is aliasing."
+        f"of its {max(SAMPLES)} samples. `regular` has no error bar, and its error here is aliasing. "
+        "Adaptive renders take no more shadow rays than pay: on soft shadows each sample is cheaper, and noisier."
     )
     for name, found in compared.items():
         yield from _scene_section(name, found)
