@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from penumbra_scene import limits
 from penumbra_scene.exits import Exit
 
 from penumbra_service.commands import Command, CommandError, frame_time
@@ -90,7 +91,7 @@ def _configure_compare(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--reference",
-        type=int,
+        type=_reference,
         metavar="N",
         default=None,
         help="samples a pixel of the reference (default: 16 times the most)",
@@ -120,17 +121,31 @@ def _words(*accepted: str) -> Callable[[str], tuple[str, ...]]:
 
 
 def _counts(text: str) -> tuple[int, ...]:
-    words = [word.strip() for word in text.split(",")]
-    if not all(word.isdecimal() and int(word) > 0 for word in words):
-        raise argparse.ArgumentTypeError(f"{text!r} given, accepted: numbers above 0, commas between them")
-    return tuple(sorted({int(word) for word in words}))
+    return tuple(sorted({_number(word, text, 1, limits.MAX_SAMPLES) for word in text.split(",")}))
+
+
+def _reference(text: str) -> int:
+    """Two samples at least: one has no variance to take off."""
+    return _number(text, text, 2, limits.MAX_SAMPLES)
+
+
+def _number(word: str, text: str, least: int, most: int) -> int:
+    word = word.strip()
+    if not (word.isdecimal() and len(word) < 20 and least <= int(word) <= most):
+        raise argparse.ArgumentTypeError(f"{text!r} given, accepted: whole numbers from {least} to {most}")
+    return int(word)
 
 
 def _size(text: str) -> tuple[int, int]:
-    sides = text.split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
-        raise argparse.ArgumentTypeError(f"{text!r} given, accepted: WIDTHxHEIGHT, such as 320x240")
-    return int(sides[0]), int(sides[1])
+    width, _, height = text.partition("x")
+    try:
+        size = _number(width, text, 1, limits.MAX_RESOLUTION), _number(height, text, 1, limits.MAX_RESOLUTION)
+    except argparse.ArgumentTypeError:
+        size = (0, 0)
+    if not 0 < size[0] * size[1] <= limits.MAX_PIXELS:
+        accepted = f"WIDTHxHEIGHT, such as 320x240, sides to {limits.MAX_RESOLUTION}, {limits.MAX_PIXELS} pixels in all"
+        raise argparse.ArgumentTypeError(f"{text!r} given, accepted: {accepted}")
+    return size
 
 
 def _compare(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from penumbra_scene import limits
 from penumbra_scene.parse import parse_scene
 from penumbra_scene.scene import Scene
 
@@ -65,7 +66,7 @@ def compare_on(
 ) -> Comparison:
     """The same on an engine that runs already, without the files but the pictures."""
     samples = wanted.samples or SAMPLES
-    reference = Reference(wanted.reference or REFERENCE_FACTOR * max(samples))
+    reference = Reference(wanted.reference or min(REFERENCE_FACTOR * max(samples), limits.MAX_SAMPLES))
     with tempfile.TemporaryDirectory(prefix="penumbra-") as work:
         comparer = Comparer(engine, Path(work), assets_folder(), beside, wanted.time)
         found = comparer.compare(

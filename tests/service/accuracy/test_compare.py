@@ -223,9 +223,26 @@ def test_without_matplotlib_the_command_says_what_to_install(
 
 
 @pytest.mark.parametrize(
-    "words", [["--samplers", "sobel"], ["--adaptive", "maybe"], ["--samples", "0"], ["--size", "3by4"]]
+    "words",
+    [
+        ["--samplers", "sobel"],
+        ["--adaptive", "maybe"],
+        ["--samples", "0"],
+        ["--samples", "16,2000000000"],
+        ["--samples", "9" * 5000],
+        ["--samples", "16,"],
+        ["--reference", "-5"],
+        ["--reference", "1"],
+        ["--reference", "many"],
+        ["--size", "3by4"],
+        ["--size", "40000x2"],
+        ["--size", "32768x32768"],
+        ["--size", "0x5"],
+    ],
 )
-def test_words_that_are_not_known_are_told(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_words_and_numbers_that_cannot_be_are_told(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         run("scene.json", *words)
     assert "accepted" in capsys.readouterr().err
