@@ -7,18 +7,27 @@
 #endif
 #include "geometry/spawn.cl"
 
+// The kinds of primitive that these functions meet, a bit each: the code of the others is not there. In lanes, surface16.cl leaves
+// them triangles, and planes that move.
+#if !PENUMBRA_LANES
+#define SURFACE_KINDS 0xffu
+#else
+#define SURFACE_KINDS (1u << PRIMITIVE_TRIANGLE | (uint)PENUMBRA_MOTION << PRIMITIVE_PLANE)
+#endif
+#define SURFACE_IS(hit, which) ((SURFACE_KINDS >> (which) & 1u) != 0u && (hit)->kind == (which))
+
 static inline void local_surface(const SceneData *scene, const Ray *ray, const Hit *hit, const bool tangent,
                                  LocalSurface *s) {
 #if PENUMBRA_ROUND
-  if (hit->kind == PRIMITIVE_SPHERE) {
+  if (SURFACE_IS(hit, PRIMITIVE_SPHERE)) {
     sphere_surface(scene, ray, hit, tangent, s);
     return;
   }
-  if (hit->kind == PRIMITIVE_DISC) {
+  if (SURFACE_IS(hit, PRIMITIVE_DISC)) {
     disc_surface(scene, hit, s);
     return;
   }
-  if (hit->kind == PRIMITIVE_PLANE) {
+  if (SURFACE_IS(hit, PRIMITIVE_PLANE)) {
     plane_surface(scene, ray, hit, s);
     return;
   }

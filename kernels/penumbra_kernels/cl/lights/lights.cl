@@ -13,20 +13,26 @@
 #include "lights/directional.cl"
 #include "lights/environment.cl"
 
-// The kinds of light that a call may meet, a bit each, as a constant: the code of the others is not there.
+// The kinds of light that these functions meet, a bit each: the code of the others is not there. In lanes, lights16.cl takes
+// quads and spheres itself, unless instances carry them.
 #define EVERY_KIND 0xffu
-static inline bool light_is(const __global Light *light, const uint kinds, const uint kind) {
-  return (kinds >> kind & 1u) != 0u && light->type == kind;
-}
+#if !PENUMBRA_LANES || PENUMBRA_INSTANCING
+#define LIGHT_KINDS EVERY_KIND
+#elif PENUMBRA_LIGHT_AREA_SAMPLING
+#define LIGHT_KINDS (EVERY_KIND & ~(1u << LIGHT_QUAD))
+#else
+#define LIGHT_KINDS (EVERY_KIND & ~(1u << LIGHT_QUAD) & ~(1u << LIGHT_SPHERE))
+#endif
+#define LIGHT_IS(light, kind) ((LIGHT_KINDS >> (kind) & 1u) != 0u && (light)->type == (kind))
 
-static inline bool area_light_sample(const SceneData *scene, const __global Light *light, const uint kinds, const float3 p,
-                                     const float time, const float u_triangle, const float2 u, LightSample *out) {
+static inline bool area_light_sample(const SceneData *scene, const __global Light *light, const float3 p, const float time,
+                                     const float u_triangle, const float2 u, LightSample *out) {
   out->delta = false;
   out->radiance = load3(light->radiance);
-  if (light_is(light, kinds, LIGHT_QUAD)) return quad_light_sample(scene, light, p, time, u, out);
-  if (light_is(light, kinds, LIGHT_DISC)) return disc_light_sample(scene, light, p, time, u, out);
-  if (light_is(light, kinds, LIGHT_SPHERE)) return sphere_light_sample(scene, light, p, time, u, out);
-  return light_is(light, kinds, LIGHT_MESH) && mesh_light_sample(scene, light, p, time, u_triangle, u, out);
+  if (LIGHT_IS(light, LIGHT_QUAD)) return quad_light_sample(scene, light, p, time, u, out);
+  if (LIGHT_IS(light, LIGHT_DISC)) return disc_light_sample(scene, light, p, time, u, out);
+  if (LIGHT_IS(light, LIGHT_SPHERE)) return sphere_light_sample(scene, light, p, time, u, out);
+  return LIGHT_IS(light, LIGHT_MESH) && mesh_light_sample(scene, light, p, time, u_triangle, u, out);
 }
 
 // Whether light_sample asks for u_triangle.
@@ -50,9 +56,10 @@ static inline bool light_has_extent(const SceneData *scene, const uint light) {
 #endif
 }
 
-// light_sample of a light of some kinds.
-static inline bool light_sample_of(const SceneData *scene, const uint light, const uint kinds, const Receiver *receiver,
-                                   const float time, const float u_triangle, const float2 u, LightSample *out) {
+// Samples a direction to a light for a receiver. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing
+// arrives: behind the light, edge-on, at the light itself. *out is whole only where it returns true.
+static inline bool light_sample(const SceneData *scene, const uint light, const Receiver *receiver, const float time,
+                                const float u_triangle, const float2 u, LightSample *out) {
 #if PENUMBRA_AREA_LIGHTS || PENUMBRA_DELTA_LIGHTS
   const float3 p = receiver->p;
 #endif
@@ -60,28 +67,21 @@ static inline bool light_sample_of(const SceneData *scene, const uint light, con
   const __global Light *record = scene->lights + light;
 #endif
 #if PENUMBRA_ENVIRONMENT
-  if (light_is(record, kinds, LIGHT_ENVIRONMENT)) {
+  if (LIGHT_IS(record, LIGHT_ENVIRONMENT)) {
     out->delta = false;
     return environment_sample(scene, record, receiver->n, u, out);
   }
 #endif
 #if PENUMBRA_DELTA_LIGHTS
-  if (light_is(record, kinds, LIGHT_POINT)) return point_light_sample(scene, record, p, time, out);
-  if (light_is(record, kinds, LIGHT_SPOT)) return spot_light_sample(scene, record, p, time, out);
-  if (light_is(record, kinds, LIGHT_DIRECTIONAL)) return directional_light_sample(scene, record, time, out);
+  if (LIGHT_IS(record, LIGHT_POINT)) return point_light_sample(scene, record, p, time, out);
+  if (LIGHT_IS(record, LIGHT_SPOT)) return spot_light_sample(scene, record, p, time, out);
+  if (LIGHT_IS(record, LIGHT_DIRECTIONAL)) return directional_light_sample(scene, record, time, out);
 #endif
 #if PENUMBRA_AREA_LIGHTS
-  return area_light_sample(scene, record, kinds, p, time, u_triangle, u, out);
+  return area_light_sample(scene, record, p, time, u_triangle, u, out);
 #else
   return false;
 #endif
-}
-
-// Samples a direction to a light for a receiver. u_triangle and u in [0, 1); time in seconds from the frame's. False where nothing
-// arrives: behind the light, edge-on, at the light itself. *out is whole only where it returns true.
-static inline bool light_sample(const SceneData *scene, const uint light, const Receiver *receiver, const float time,
-                                const float u_triangle, const float2 u, LightSample *out) {
-  return light_sample_of(scene, light, EVERY_KIND, receiver, time, u_triangle, u, out);
 }
 
 // Radiance that a surface emits towards wo: on its front alone, unless it is two-sided.
@@ -97,15 +97,14 @@ static inline float3 light_emitted(const SceneData *scene, const Surface *surfac
 #endif
 }
 
-// light_hit_pdf of a light of some kinds.
-static inline float light_hit_pdf_of(const SceneData *scene, const uint light, const uint kinds, const float3 p,
-                                     const float3 ng, const uint primitive, const float3 wi, const float distance,
-                                     const float time) {
+// light_hit_pdf by the hit's geometric normal and primitive.
+static inline float light_hit_pdf_at(const SceneData *scene, const uint light, const float3 p, const float3 ng,
+                                     const uint primitive, const float3 wi, const float distance, const float time) {
 #if PENUMBRA_AREA_LIGHTS
   const __global Light *record = scene->lights + light;
-  if (light_is(record, kinds, LIGHT_QUAD)) return quad_light_hit_pdf(scene, record, p, distance, time);
-  if (light_is(record, kinds, LIGHT_DISC)) return disc_light_hit_pdf(scene, record, p, distance, time);
-  if (light_is(record, kinds, LIGHT_SPHERE)) return sphere_light_hit_pdf(scene, record, p, ng, wi, distance, time);
+  if (LIGHT_IS(record, LIGHT_QUAD)) return quad_light_hit_pdf(scene, record, p, distance, time);
+  if (LIGHT_IS(record, LIGHT_DISC)) return disc_light_hit_pdf(scene, record, p, distance, time);
+  if (LIGHT_IS(record, LIGHT_SPHERE)) return sphere_light_hit_pdf(scene, record, p, ng, wi, distance, time);
   return mesh_light_hit_pdf(scene, record, p, primitive, distance, time);
 #else
   return 0.0f;
@@ -116,5 +115,5 @@ static inline float light_hit_pdf_of(const SceneData *scene, const uint light, c
 // does: behind, edge-on.
 static inline float light_hit_pdf(const SceneData *scene, const uint light, const float3 p, const Surface *hit,
                                   const float3 wi, const float distance, const float time) {
-  return light_hit_pdf_of(scene, light, EVERY_KIND, p, hit->ng, hit->primitive, wi, distance, time);
+  return light_hit_pdf_at(scene, light, p, hit->ng, hit->primitive, wi, distance, time);
 }

@@ -30,15 +30,6 @@ static inline void shapes16(const Lights16 *lights, const Mask16 on, Mask16 *qua
 }
 #endif
 
-// Kinds of light that are taken lane by lane.
-#if PENUMBRA_INSTANCING
-#define LONE_KINDS EVERY_KIND
-#elif PENUMBRA_LIGHT_AREA_SAMPLING
-#define LONE_KINDS (EVERY_KIND & ~(1u << LIGHT_QUAD))
-#else
-#define LONE_KINDS (EVERY_KIND & ~(1u << LIGHT_QUAD) & ~(1u << LIGHT_SPHERE))
-#endif
-
 // light_has_extent and light_has_triangles of each lane's light.
 static inline Mask16 lights_have_extent16(const Lights16 *lights, const Mask16 on) {
 #if PENUMBRA_DELTA_LIGHTS && (PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT)
@@ -69,7 +60,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE Mask16 light_sample_each(const SceneData 
     const Receiver lit = lane_receiver(receiver, k);
     const float2 u = (float2)(LANE_F(*ux, k), LANE_F(*uy, k));
     LightSample sample;
-    if (!light_sample_of(scene, LANE_U(*light, k), LONE_KINDS, &lit, LANE_F(*time, k), LANE_F(*u_triangle, k), u, &sample))
+    if (!light_sample(scene, LANE_U(*light, k), &lit, LANE_F(*time, k), LANE_F(*u_triangle, k), u, &sample))
       continue;
     LANE_I(given, k) = -1;
     set_lane_light_sample(out, k, &sample);
@@ -126,8 +117,8 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void light_hit_pdf_each(const SceneData *
                                                                const float16 *distance, const float16 *time,
                                                                const Mask16 *on, float16 *pdf) {
   for (LANES_OF(k, *on))
-    LANE_F(*pdf, k) = light_hit_pdf_of(scene, LANE_U(*light, k), LONE_KINDS, lane3(p, k), lane3(ng, k), LANE_U(*primitive, k),
-                                       lane3(wi, k), LANE_F(*distance, k), LANE_F(*time, k));
+    LANE_F(*pdf, k) = light_hit_pdf_at(scene, LANE_U(*light, k), lane3(p, k), lane3(ng, k), LANE_U(*primitive, k), lane3(wi, k),
+                                       LANE_F(*distance, k), LANE_F(*time, k));
 }
 #endif
 
