@@ -11,6 +11,7 @@ from penumbra_scene.assets import AssetRef
 from penumbra_scene.job import AssetInfo
 from starlette.concurrency import run_in_threadpool
 
+from penumbra_service.api.bodies import check_coding
 from penumbra_service.api.jobs import owner_of, service_of
 from penumbra_service.api.problems import refuse
 from penumbra_service.api.results import RangedFile
@@ -73,6 +74,7 @@ async def _receive(request: Request, response: Response, expected: str | None) -
     service = service_of(request)
     if request.headers.get("content-type", "").startswith("multipart/"):
         raise refuse(415, "send the file as the bare body, not as a form (with curl: --data-binary @file)")
+    check_coding(request)
     announced = request.headers.get("content-length", "")
     limit = service.settings.max_asset_bytes
     if announced.isdigit() and int(announced) > limit:

@@ -75,6 +75,14 @@ def _check_media_type(request: Request) -> None:
     if kind != "application/json" and not (kind.startswith("application/") and kind.endswith("+json")):
         detail = f"given {given}, accepted: application/json (with curl: -H 'Content-Type: application/json')"
         raise refuse(415, detail)
+    check_coding(request)
+
+
+def check_coding(request: Request) -> None:
+    """Nothing here is unpacked: its length would have no limit. Raises ProblemError (415)."""
+    coding = request.headers.get("content-encoding", "").strip()
+    if coding.lower() not in ("", "identity"):
+        raise refuse(415, f"given Content-Encoding: {coding[:80]}, accepted: none, or identity")
 
 
 def parse_submission(body: bytes, settings: Settings, assets: FolderAssets) -> Submission:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gzip
 import json
 from typing import Any
 
@@ -144,6 +145,17 @@ def test_numbers_that_overflow_are_refused(client: TestClient, scene: dict[str, 
 def test_the_body_of_a_form_is_refused_with_advice(client: TestClient) -> None:
     problem = problem_of(client.post("/v1/jobs", data={"a": "b"}), 415)
     assert "Content-Type: application/json" in problem.detail
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs", "/v1/validate", "/v1/quotes", "/v1/assets"])
+def test_a_body_that_was_packed_is_refused_as_such(
+    client: TestClient, scene: dict[str, Any], path: str
+) -> None:
+    packed = gzip.compress(json.dumps(scene).encode())
+    problem = problem_of(client.post(path, content=packed, headers={**JSON, "Content-Encoding": "gzip"}), 415)
+    assert "given Content-Encoding: gzip, accepted: none" in problem.detail
+    plain = client.post("/v1/validate", json=scene, headers={"Content-Encoding": "identity"})
+    assert plain.status_code == 200
 
 
 def test_a_body_that_is_too_long_is_refused(settings: Settings, runner: Any, scene: dict[str, Any]) -> None:
