@@ -427,6 +427,8 @@ def test_commands_whose_packages_are_missing_are_explained(
         (86400.0, "1 d"),
         (273_600.0, "3 d 4 h"),
         (1e9, "31.7 years"),
+        (1e12, "31,700 years"),
+        (1e15, "31.7 million years"),
         (None, "?"),
     ],
 )

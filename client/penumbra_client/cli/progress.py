@@ -36,13 +36,20 @@ def duration(seconds: float | None) -> str:
     if seconds < 59.95:
         return f"{seconds:.1f} s"
     if seconds >= YEARS_FROM * DAY:
-        return f"{seconds / (365.25 * DAY):,.3g} years"
+        return _years(seconds / (365.25 * DAY))
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours < 24:
         return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
     days, hours = divmod(round(seconds / 3600), 24)
     return f"{days} d" + (f" {hours} h" if hours else "")
+
+
+def _years(number: float) -> str:
+    """In three digits."""
+    if number >= 1e6:
+        return f"{number / 1e6:.3g} million years"
+    return f"{float(f'{number:.3g}'):,g} years"
 
 
 def _numbers(event: ProgressEvent) -> str:

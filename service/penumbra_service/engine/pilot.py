@@ -71,6 +71,8 @@ GO_ON_SECONDS: Final = 1.0
 nothing of the speed at which a job goes on, and little of a low error."""
 PROBE_BLOCKS: Final = 16
 """Are rendered first, to learn how many can be afforded."""
+PROBE_SECONDS: Final = 0.05
+"""That rendering them should take at least."""
 PACE_SECONDS: Final = 0.4
 """Of whole tiles on GPUs, which blocks do not fill."""
 PACE_TILE: Final = 256
@@ -187,7 +189,7 @@ class PilotRunner:
 
     def _rounds(self) -> None:
         ends = round_ends(self._layout.replicates)
-        self._render(choose_blocks(self._blocks, PROBE_BLOCKS, self._seed), 0, ends[0])
+        self._probe(ends)
         if any(device.kind == "gpu" for device in self._engine.usable()):
             self._pace()
         most = min(len(self._blocks), most_blocks())
@@ -206,6 +208,18 @@ class PilotRunner:
         if chosen and rounds == len(ends):
             self._go_on(chosen, done)
         self._conclude()
+
+    def _probe(self, ends: Sequence[int]) -> None:
+        """Learn how many blocks can be afforded. Caches are cold at first, and few samples are mostly launching: more are taken
+        until they say something."""
+        tiles, done = choose_blocks(self._blocks, PROBE_BLOCKS, self._seed), 0
+        for end in ends:
+            self._paces.clear()
+            began = time.monotonic()
+            self._render(tiles, done, end, keep=False)
+            if time.monotonic() - began > PROBE_SECONDS:
+                break
+            done = end
 
     def _round(self, tiles: list[Tile], done: int, end: int) -> None:
         if self._timing:

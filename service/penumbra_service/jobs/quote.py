@@ -144,7 +144,7 @@ class _Range:
         low, high = self._ends
         return _Range(
             self.value * spread.rate + pilot,
-            (low * spread.rate + pilot) * max(1 - wider, 0.0),
+            (low * spread.rate + pilot) / (1 + wider),
             None if high is None else (high * spread.rate + pilot) * (1 + wider),
             self._confidence,
         )

@@ -34,6 +34,8 @@ def percent(share: float | None) -> str:
     if share == 0:
         return "0 %"
     value = 100 * share
+    if value < 0.000995:
+        return f"{value:.1e} %"
     digits = 0 if value >= 99.5 else 1 if value >= 0.995 else 2 if value >= 0.0995 else 3
     return f"{value:.{digits}f} %"
 
@@ -47,7 +49,7 @@ def duration(seconds: float | None) -> str:
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     if seconds >= YEARS_FROM * 86400:
-        return f"{seconds / (365.25 * 86400):,.3g} years"
+        return years(seconds)
     whole = round(seconds)
     for size, unit, smaller, name in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
         if whole >= size:
@@ -63,7 +65,15 @@ def brief(seconds: float) -> str:
     for size, unit in ((60, "min"), (3600, "h")):
         if seconds < 1000 * size:
             return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 86400:.3g} d"
+    return years(seconds) if seconds >= YEARS_FROM * 86400 else f"{seconds / 86400:.3g} d"
+
+
+def years(seconds: float) -> str:
+    """1e12 -> '31 700 years', 1e15 -> '31.7 million years'."""
+    value = seconds / (365.25 * 86400)
+    if value >= 1e6:
+        return f"{value / 1e6:.3g} million years"
+    return f"{float(f'{value:.3g}'):,g} years".replace(",", "\u202f")
 
 
 def count(number: float | None) -> str:

@@ -190,6 +190,18 @@ def test_with_time_left_a_pilot_goes_on_and_foretells_what_it_would_have(
     assert foretold[1] <= math.sqrt(long.points[-1].relmse) <= foretold[2]
 
 
+def test_probes_tell_a_rate_and_nothing_of_the_error(
+    engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for least in (0.0, 1e4):  # one probe; as many as there are rounds
+        monkeypatch.setattr(pilot_module, "PROBE_SECONDS", least)
+        found.append(quote(engine, tmp_path / str(least))[1])
+    assert [p.relmse for p in found[0].points] == [p.relmse for p in found[1].points]
+    leases = [sum(use.leases for use in one.devices.values()) for one in found]
+    assert leases[1] > leases[0]
+
+
 def test_a_scene_that_cannot_be_loaded_fails_the_quote(engine: LocalEngine, tmp_path: Path) -> None:
     missing = {"asset": "sha256:" + "00" * 32}
     shapes = [{"type": "mesh", "source": missing}]

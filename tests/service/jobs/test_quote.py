@@ -17,7 +17,13 @@ from penumbra_service.web.quotes import quote_view
 
 
 def quoted(
-    stop: dict[str, Any], carriers: float, *, of_few: bool, floor: float = 0.0, saving: Saving | None = None
+    stop: dict[str, Any],
+    carriers: float,
+    *,
+    of_few: bool,
+    floor: float = 0.0,
+    saving: Saving | None = None,
+    unsteady: float = 0.05,
 ) -> Quote:
     adaptive = None if saving is None else {"strategy": "error"}
     scene = Scene.model_validate(
@@ -28,7 +34,7 @@ def quoted(
         for n in (16, 32, 64, 128)
     ]
     found = PilotResult(
-        choose_layout(scene.sampler, scene.stop), points, 30, 30, 7680, 2.0, 0.02, rate_deviation=0.05
+        choose_layout(scene.sampler, scene.stop), points, 30, 30, 7680, 2.0, 0.02, rate_deviation=unsteady
     )
     found.saving = saving
     return build_quote(scene, 0.0, found)
@@ -50,6 +56,16 @@ def test_the_numbers_are_those_that_would_have_a_bound() -> None:
     assert few.end.seconds_interval.low == many.end.seconds_interval.low
     assert (many.end.seconds_interval.high or 0) > many.end.seconds
     assert not any("pixels" in warning for warning in many.warnings)
+
+
+def test_a_busy_machine_widens_the_seconds_by_equal_factors_and_never_to_none() -> None:
+    """A rate that deviates by 80 % of itself says 2.6 times as much, or a 2.6th."""
+    steady, busy = (
+        quoted({"relative_error": 0.05}, 400.0, of_few=False, unsteady=u).end.seconds_interval
+        for u in (0.0, 0.8)
+    )
+    assert busy.low == pytest.approx(steady.low / 2.568, rel=1e-3)
+    assert (busy.high or 0) == pytest.approx((steady.high or 0) * 2.568, rel=1e-3)
 
 
 def test_a_dark_picture_has_a_warning() -> None:

@@ -143,6 +143,7 @@ def test_points_without_an_error_are_left_out() -> None:
         (0.0123, "1.2 %"),
         (0.00123, "0.12 %"),
         (1e-5, "0.001 %"),
+        (1e-6, "1.0e-04 %"),
         (12, "1200 %"),
     ],
 )
@@ -164,6 +165,8 @@ def test_percentages(share: float | None, text: str) -> None:
         (7260, "2 h 1 min"),
         (90000, "1 d 1 h"),
         (1e9, "31.7 years"),
+        (1e12, "31\u202f700 years"),
+        (1e15, "31.7 million years"),
     ],
 )
 def test_durations(seconds: float | None, text: str) -> None:
@@ -179,6 +182,7 @@ def test_durations(seconds: float | None, text: str) -> None:
         (20000.0, "333 min"),
         (2e5, "55.6 h"),
         (1e7, "116 d"),
+        (1e11, "3\u202f170 years"),
     ],
 )
 def test_durations_under_an_axis_have_one_unit(seconds: float, text: str) -> None:
