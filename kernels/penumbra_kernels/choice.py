@@ -16,12 +16,12 @@ Program = Literal["specialised", "generic"]
 GAIN: Final = 1.1
 """Samples a second by a scene's own program over those by the generic one, where a device has not been measured: the median
 of the examples on a CPU (docs/effects.md)."""
-PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-2.4, 0.00084), "gpu": (-3.4, 0.00335)}
+PRIOR: Final[dict[str, tuple[float, float]]] = {"cpu": (-2.75, 0.00082), "gpu": (-3.4, 0.00335)}
 """By kind of device: seconds of building a program of n lines are a + b n, until that device has built some. Lines through the
-smallest and the largest program of the examples: 4,613 and 6,640 lines (with those of the lanes) took 1.46 and 3.15 s of a
+smallest and the largest program of the examples: 4,949 and 7,569 lines (with those of the lanes) took 1.28 and 3.42 s of a
 Zen 5 core; 2,510 and 3,408 without lanes 5 and 8 s by an H200's driver (docs/gpus.md)."""
 PLAIN_SHARE: Final = 0.6
-"""Of the seconds of building a scene's own program: those of the same for one path at a time, on a CPU. .45 to .53 on a Zen 5
+"""Of the seconds of building a scene's own program: those of the same for one path at a time, on a CPU. .45 to .55 on a Zen 5
 core, for three examples and the scene whose start bench/latency.py measures."""
 PLAIN_RATE: Final = 500_000.0
 """Paths a second that such a program follows on a core, in most scenes more: .27 to 3.9 million on a Zen 5 core in ten examples
