@@ -18,6 +18,7 @@ from penumbra_kernels.device import Device
 from penumbra_kernels.nodes import SumNode, Tile, merge
 from penumbra_kernels.tracer import SamplePlan, Tracer
 from penumbra_scene.scene import Scene
+from penumbra_service.engine.course import TILE_SIZE
 from penumbra_service.film.error import EPSILON, ImageError, image_error
 from penumbra_service.film.film import Film
 from penumbra_service.film.grid import TileGrid
@@ -118,8 +119,7 @@ class Upkeep:
     replicates: float
     """Tracing 256 samples in DEFAULT_REPLICATES over tracing them in 1."""
     looking: float
-    """Taking in two nodes of each tile and looking at the picture, at every check point of a job of 256 samples, over tracing
-    them."""
+    """Adding up two nodes and looking at the picture, at every check point of a job of 256 samples, over tracing them."""
     checks: int
     """How many those are."""
 
@@ -133,7 +133,7 @@ def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) 
     spent: dict[int, list[float]] = {1: [], ours: []}
     looking = []
     half = 128 // ours
-    film = Film(TileGrid(window), ours, MemoryTileStore(), "upkeep")
+    film = Film(TileGrid(window, TILE_SIZE), ours, MemoryTileStore(), "upkeep")
     film.set_barriers((half,))
     preview = Preview(window)
     for _ in range(rounds):
@@ -143,9 +143,9 @@ def upkeep(device: Device, scene: Scene, assets: FolderAssets, rounds: int = 3) 
             spent[r].append(time.process_time() - began)
         for tile in film.tiles:
             film.discard(tile)
-        began = time.process_time()
         for node in nodes:
             film.add(node)
+        began = time.process_time()
         _look(film, 2 * half, preview)
         looking.append(time.process_time() - began)
     checks = check_points(ours)

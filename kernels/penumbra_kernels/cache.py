@@ -11,6 +11,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -109,8 +110,13 @@ def capacity() -> int:
 def key(source: str, options: Sequence[str], device: DeviceInfo) -> str:
     """SHA-256 of the flattened source (flags are its first lines), build options, device, driver and platform; a PoCL
     platform's version names PoCL's release and LLVM's, and the bit class the processor that it compiles for."""
-    parts = [source, list(options), device.platform, device.bit_class]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    return _digest(source, tuple(options), device.platform, device.bit_class)
+
+
+@lru_cache(16)
+def _digest(source: str, *more: str | tuple[str, ...]) -> str:
+    """A scene asks for the keys of its few programs several times, and the next scene for most of them again."""
+    return hashlib.sha256(json.dumps([source, *more]).encode()).hexdigest()
 
 
 def _path(key: str) -> Path:

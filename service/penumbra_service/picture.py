@@ -154,7 +154,7 @@ class PictureRunner:
         )
         return self._write(
             picture,
-            lambda: write_results(picture.folder, picture.scene, result, latest.image, context),
+            lambda: write_results(picture.folder, picture.scene, result, latest, context),
             result.reason,
         )
 
@@ -224,7 +224,7 @@ def _shower(picture: Picture, latest: Latest) -> Callable[[PreviewImage], None]:
     """Keeps the newest preview, and puts it where the thumbnail is looked for."""
 
     def show(image: PreviewImage) -> None:
-        latest.image = image
+        latest.image, latest.written = image, False
         if picture.show is None:
             return
         try:
@@ -232,6 +232,7 @@ def _shower(picture: Picture, latest: Latest) -> Callable[[PreviewImage], None]:
         except OSError:
             log.warning("job %s: no preview can be written", picture.job, exc_info=True)
             return
+        latest.written = True
         picture.show()
 
     return show

@@ -54,6 +54,8 @@ class Latest:
     """The newest preview of a run."""
 
     image: PreviewImage | None = field(default=None)
+    written: bool = False
+    """Whether its thumbnail and noise map are in the folder."""
 
 
 def write_pictures(folder: Path, scene: Scene, image: PreviewImage) -> None:
@@ -67,17 +69,17 @@ def write_pictures(folder: Path, scene: Scene, image: PreviewImage) -> None:
 
 
 def write_results(
-    folder: Path, scene: Scene, result: RunResult, preview: PreviewImage | None, context: ReceiptContext
+    folder: Path, scene: Scene, result: RunResult, latest: Latest, context: ReceiptContext
 ) -> Receipt:
     """All files of a run that reached its stop rule. Raises OSError."""
     began = time.perf_counter()
     reason = result.reason or StopReason.SAMPLES
     draft = build_receipt(scene, result.record, reason, context, result.levels)
-    keep = _Keeper(scene) if _wants_full(scene, preview) else None
+    keep = _Keeper(scene) if _wants_full(scene, latest.image) else None
     bands = result.bands()
     write_exr(folder / RESULT, exr_layout(scene, draft), bands if keep is None else keep.pass_on(bands))
-    if preview is not None:
-        write_pictures(folder, scene, preview)
+    if latest.image is not None and not latest.written:
+        write_pictures(folder, scene, latest.image)
     if keep is not None:
         look = scene.film.thumbnail
         write_thumbnail(

@@ -36,7 +36,8 @@ SNAPSHOT_SECONDS: Final = 5.0
 SNAPSHOT_SHARE: Final = 20.0
 """A snapshot that took s seconds is followed by no other for 20 s of them: at most 5 % of the time goes
 there."""
-TILE_SIZE: Final = 64
+TILE_SIZE: Final = 96
+"""A look at the error, a lease and a launch each take a time of their own for every tile; larger ones leave the cache."""
 LARGE_TILE_SIZE: Final = 128
 GPU_TILE_SIZE: Final = 256
 LARGE_WINDOW: Final = 2 * 1024 * 1024

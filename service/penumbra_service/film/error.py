@@ -109,7 +109,7 @@ def block_sums(
     rgb, v = mean[..., :3].transpose(2, 0, 1), variance[..., :3].transpose(2, 0, 1)
     planes = empty((6, *v.shape[1:]))
     v.sum(axis=0, out=planes[0])
-    np.einsum("chw,chw->hw", rgb, rgb, out=planes[1])
+    np.square(rgb, out=planes[3:]).sum(axis=0, out=planes[1])
     np.square(planes[0], out=planes[2])
     planes[3:] = rgb
     count: NDArray[Any] = block_sizes(tile, block)
@@ -198,10 +198,12 @@ def image_error(summaries: list[TileSummary]) -> ImageError:
     total = float(count.sum())
     if total == 0:
         return ImageError(math.nan, math.nan, math.nan, math.nan, 0)
-    least = np.square(table[4:] / count).mean(axis=0)
+    least = np.square(table[4:] / count).sum(axis=0) / 3
     signal = np.maximum((square - variance) / count, least) + EPSILON
     quotient = (variance / count) / signal
-    relmse = _sum(count * quotient) / total
+    parts = count * quotient
+    sum_of_parts = _sum(parts)
+    relmse = sum_of_parts / total
     mse = _sum(variance) / total
     maximum = max(s.maximum for s in summaries)
     return ImageError(
@@ -211,18 +213,13 @@ def image_error(summaries: list[TileSummary]) -> ImageError:
         _psnr(mse, maximum),
         int(total),
         _carriers(variance / signal, squared / signal**2),
-        _floor(count * quotient, signal),
+        _sum(parts * (EPSILON / signal)) / sum_of_parts if sum_of_parts > 0 else 0.0,
     )
 
 
 def _sum(values: NDArray[Any]) -> float:
     """Exactly rounded, whatever the order."""
     return math.fsum(values.tolist())
-
-
-def _floor(parts: NDArray[Any], signal: NDArray[Any]) -> float:
-    total = _sum(parts)
-    return _sum(parts * (EPSILON / signal)) / total if total > 0 else 0.0
 
 
 def _carriers(parts: NDArray[Any], squared: NDArray[Any]) -> float:

@@ -62,7 +62,7 @@ class Preview:
             variance = self._pool(variance, tile) / count**2
         at = np.s_[:, y : y + mean.shape[1], x : x + mean.shape[2]]
         self._rgba[at] = mean
-        np.minimum(variance, LARGEST, out=self._variance[at], casting="same_kind")
+        self._variance[at] = np.minimum(variance, LARGEST)
 
     def image(self) -> PreviewImage:
         """The picture as it stands; clears `changed`."""

@@ -169,7 +169,10 @@ def _replicates_of(folded: FoldedSums, empty: Empty) -> _Replicates:
         if none.any():
             missing, counts = none, len(none) - none.sum(axis=0)
     centre = values.sum(axis=1, out=empty((4, *folded.shape[1:])), initial=0.0)
-    centre /= np.maximum(counts, 1)
+    if isinstance(counts, int) and counts & (counts - 1) == 0:
+        centre *= 1 / counts  # exact, and faster than to divide
+    else:
+        centre /= np.maximum(counts, 1)
     return _Replicates(values, centre, counts, missing, common or 1)
 
 

@@ -320,6 +320,7 @@ def test_a_full_disk_fails_the_job(fake_engine, make_task, monkeypatch):  # type
         if name.endswith(".tile"):
             raise OSError(28, "No space left on device")
 
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
     monkeypatch.setattr("penumbra_service.film.tilefile.FolderTileStore.write", full)
     monkeypatch.setattr("penumbra_service.engine.snapshot.save", lambda *_: None)
     task = make_task(memory_limit=1)
