@@ -144,9 +144,14 @@ def load(key: str) -> bytes | None:
     if hashlib.sha256(binary).digest() != digest:
         discard(key)
         return None
-    with contextlib.suppress(OSError):
-        os.utime(path)
+    note_use(key)
     return binary
+
+
+def note_use(key: str) -> None:
+    """What was used last is kept longest."""
+    with contextlib.suppress(OSError):
+        os.utime(_path(key))
 
 
 def store(key: str, binary: bytes) -> None:

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from platform import machine
 from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -146,6 +147,8 @@ class Device:
         self.queue = cl.CommandQueue(self.context, handle)
         self.builds = 0
         """Programs that this object had the compiler build; a warm start leaves it at 0."""
+        self._alive: WeakValueDictionary[str, cl.Program] = WeakValueDictionary()
+        """Programs that somebody holds, by their keys: the next scene with the same ones need not load them."""
 
     @property
     def flags(self) -> dict[str, int]:
@@ -184,8 +187,9 @@ class Device:
         macros = self.macros(flags) if text is None else {**self.flags, **flags}
         source = assemble(entry, macros, text)
         key = self.cache_key(source)
-        known = self._from_cache(key)
+        known = self._held(key) or self._from_cache(key)
         if known is not None:
+            self._alive[key] = known
             return known
         try:
             program: cl.Program = cl.Program(self.context, source)
@@ -200,6 +204,7 @@ class Device:
             pocl_cache.spare_any_size()
         binaries: Any = program.get_info(cl.program_info.BINARIES)
         cache.store(key, binaries[0])
+        self._alive[key] = program
         return program
 
     def load_compiler(self) -> None:
@@ -218,6 +223,13 @@ class Device:
     def has_binary(self, source: str) -> bool:
         """Whether the program of a flattened source is in the cache."""
         return cache.has(self.cache_key(source))
+
+    def _held(self, key: str) -> cl.Program | None:
+        """A program that a scene has loaded."""
+        program = self._alive.get(key)
+        if program is not None:
+            cache.note_use(key)
+        return program
 
     def _from_cache(self, key: str) -> cl.Program | None:
         """The program whose binary is stored; None where there is none that the driver takes."""

@@ -172,10 +172,13 @@ class Tracer:
         self._items_per_second = 0.0
 
     def _take_program(self, program: str, more: Flags) -> None:
+        import pyopencl as cl
+
         features = self.compiled.features
         flags = features.flags() if program == "specialised" else features.generic_flags()
         started, builds = time.perf_counter(), self.device.builds
-        self._kernel = build_program(self.device, {**flags, **more}).trace
+        self._program = build_program(self.device, {**flags, **more})  # held, so that the device knows it
+        self._kernel = cl.Kernel(self._program, "trace")
         self.flags: Flags = {**flags, **more}
         self.compile_seconds = time.perf_counter() - started
         self.compiled_cold = self.device.builds > builds

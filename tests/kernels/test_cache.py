@@ -248,3 +248,19 @@ def test_processes_that_start_together_on_an_empty_cache_agree(own: Path, device
     together = start(device, 3)
     assert len({answer["bits"] for answer in together}) == 1
     assert start(device)[0]["builds"] == 0
+
+
+def test_a_program_that_is_held_is_not_loaded_again(own: Path, device: Device) -> None:
+    text = "__kernel void k(__global float *out) { out[0] = 4.0f; }"
+    fresh = Device(device.info.id)
+    held = fresh.build("held", {}, text)
+    (entry,) = (own / "programs").glob("*.bin")
+    os.utime(entry, (0, 0))
+    assert fresh.build("held", {}, text) is held
+    assert entry.stat().st_mtime > 0  # that was a use
+    first = id(held)
+    other = Device(device.info.id).build("held", {}, text)
+    assert id(other) != first
+    del held
+    assert fresh.build("held", {}, text) is not other
+    assert fresh.builds == 1
