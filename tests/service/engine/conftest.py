@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from penumbra_scene.job import JobState
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine
-from penumbra_service.engine.runner import RenderTask, RunResult
+from penumbra_service.engine.runner import Halt, JobRunner, RenderTask, RunResult
+from penumbra_service.film.levels import NAME as MAP
 
 COMMAND = (sys.executable, str(Path(__file__).with_name("fake_device.py")))
 
@@ -54,6 +56,31 @@ def make_task(tmp_path: Path) -> Callable[..., RenderTask]:
         return RenderTask(more.pop("job", folder), scene, tmp_path / folder, **more)
 
     return make
+
+
+@pytest.fixture
+def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small tiles, leases of a few samples, and a report of each, so that a short run can be met in its middle."""
+    monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
+    monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
+    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
+    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 0.0)
+
+
+def paused_and_resumed(engine: LocalEngine, task: RenderTask, moment: str) -> RunResult:
+    """An adaptive run that is stopped "in the pilot" or "in the picture", and goes on."""
+
+    def halt(state: JobState, progress: Any) -> None:
+        decided = (task.folder / "tiles" / MAP).exists()
+        started = runner._course.canvas.samples > (8 if decided else 0)
+        if decided == (moment == "in the picture") and started:
+            runner.halt(Halt.PAUSE)
+
+    runner = JobRunner(engine, task, on_progress=halt)
+    assert runner.run().state is JobState.PAUSED
+    resumed = JobRunner(engine, task).run()
+    assert resumed.state is JobState.FINISHING, resumed.failure
+    return resumed
 
 
 def picture(result: RunResult) -> bytes:

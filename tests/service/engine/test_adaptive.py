@@ -15,11 +15,11 @@ import pytest
 from penumbra_scene.job import JobState, StopReason
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine, list_devices
-from penumbra_service.engine.runner import Halt, JobRunner, RenderTask, RunResult
+from penumbra_service.engine.runner import JobRunner, RenderTask, RunResult
 from penumbra_service.film.allocation import BLOCK
 from penumbra_service.film.levels import NAME
 
-from tests.service.engine.conftest import picture
+from tests.service.engine.conftest import paused_and_resumed, picture
 
 pytestmark = pytest.mark.skipif(not list_devices(), reason="no OpenCL device")
 
@@ -77,24 +77,10 @@ def test_bits_do_not_depend_on_tiles_leases_or_the_program(engine, tmp_path, mon
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("moment", ["in the pilot", "in the picture"])
-def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, monkeypatch, way, moment):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
-    monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
-    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
-    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 0.0)
+def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, small_steps, way, moment):  # type: ignore[no-untyped-def]
     sections = {"stop": {"relative_error": 0.012, "samples": 512}}
     whole = finished(engine, task_of(tmp_path / "a", way, **sections))
-    task = task_of(tmp_path / "b", way, **sections)
-
-    def halt(state: JobState, progress: Any) -> None:
-        decided = (task.folder / "tiles" / NAME).exists()
-        started = runner._course.canvas.samples > (8 if decided else 0)
-        if decided == (moment == "in the picture") and started:
-            runner.halt(Halt.PAUSE)
-
-    runner = JobRunner(engine, task, on_progress=halt)
-    assert runner.run().state is JobState.PAUSED
-    resumed = finished(engine, task)
+    resumed = paused_and_resumed(engine, task_of(tmp_path / "b", way, **sections), moment)
     assert resumed.end == whole.end
     assert resumed.record.ends == whole.record.ends
     assert picture(resumed) == picture(whole)
@@ -102,11 +88,7 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, mon
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("moment", ["in the pilot", "in the picture"])
-def test_a_device_that_is_killed_costs_no_bits(engine, tmp_path, monkeypatch, way, moment):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
-    monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
-    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
-    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 0.0)
+def test_a_device_that_is_killed_costs_no_bits(engine, tmp_path, small_steps, way, moment):  # type: ignore[no-untyped-def]
     sections = {"stop": {"samples": 2048}}
     whole = finished(engine, task_of(tmp_path / "a", way, **sections))
     task = task_of(tmp_path / "b", way, **sections)

@@ -14,14 +14,13 @@ from penumbra_scene.parse import parse_scene
 from penumbra_scene.scene import Scene
 from penumbra_service.engine.local import LocalEngine, list_devices
 from penumbra_service.engine.pilot import PilotRunner, PilotTask
-from penumbra_service.engine.runner import Halt, JobRunner, RenderTask, RunResult
+from penumbra_service.engine.runner import JobRunner, RenderTask, RunResult
 from penumbra_service.engine.task import FixedPlan
-from penumbra_service.film.levels import NAME
 from penumbra_service.jobs.quote import build_quote
 from penumbra_service.rendering import render
 from penumbra_service.replay import replay
 
-from tests.service.engine.conftest import picture
+from tests.service.engine.conftest import paused_and_resumed, picture
 from tests.service.engine.test_adaptive import SCENE as SHADOW
 from tests.service.test_replay import _channels
 
@@ -96,23 +95,10 @@ def test_hits_take_all_shadow_rays_where_nothing_is_to_be_decided(engine, tmp_pa
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("moment", ["in the pilot", "in the picture"])
-def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, monkeypatch, way, moment):  # type: ignore[no-untyped-def]
-    monkeypatch.setattr("penumbra_service.jobs.planning.FIRST_LEASE_SAMPLES", 8)
-    monkeypatch.setattr("penumbra_service.jobs.planning.MAX_GROWTH", 1)
-    monkeypatch.setattr("penumbra_service.engine.course.TILE_SIZE", 16)
-    monkeypatch.setattr("penumbra_service.engine.reporter.PROGRESS_SECONDS", 0.0)
+def test_a_run_that_was_stopped_goes_on_with_the_same_bits(engine, tmp_path, small_steps, way, moment):  # type: ignore[no-untyped-def]
     way = {**way, "pilot_samples": 16}
     whole = finished(engine, task_of(tmp_path / "a", way))
-    task = task_of(tmp_path / "b", way)
-
-    def halt(state: JobState, progress: Any) -> None:
-        decided = (task.folder / "tiles" / NAME).exists()
-        if decided == (moment == "in the picture") and runner._course.canvas.samples > (8 if decided else 0):
-            runner.halt(Halt.PAUSE)
-
-    runner = JobRunner(engine, task, on_progress=halt)
-    assert runner.run().state is JobState.PAUSED
-    resumed = finished(engine, task)
+    resumed = paused_and_resumed(engine, task_of(tmp_path / "b", way), moment)
     assert resumed.record.adaptive is not None
     assert 1 <= resumed.record.adaptive.shadow_rays < 8
     assert picture(resumed) == picture(whole)
