@@ -37,12 +37,20 @@ static inline Sphere sphere_at(const SceneData *scene, const __global Light *lig
   return s;
 }
 
-// False where p sees no emitting side: inside a one-sided sphere.
+// What rounding may put a point of the sphere's own surface off it by, in the sphere's frame (geometry/surface_round.cl). The lit
+// point p is in the world.
+static inline float own_slack(const Sphere *s, const float3 p) {
+  const float slack = GAMMA(16) * s->radius + GAMMA(8) * max3(abs3(s->center));
+  return s->placed ? slack + GAMMA(16) * max3(transform_magnitude(s->object_from_world, p)) : slack;
+}
+
+// False where p sees no emitting side: inside a one-sided sphere. Its own points, which rounding may have put outside, count as
+// inside: else it would light itself there. What lies as near from outside is lit by directions of the lobe alone.
 static inline bool sphere_view(const Sphere *s, const float3 p, const bool two_sided, SphereView *view) {
   view->to_center = s->center - (s->placed ? transform_point(s->object_from_world, p) : p);
   view->distance = length3(view->to_center);
   view->inside = !(view->distance > s->radius);
-  if (view->inside && !two_sided) return false;
+  if (!two_sided && !(view->distance > s->radius + own_slack(s, p))) return false;
   // 1 - cos = sin^2 / (1 + cos): keeps its digits however small the sphere looks
   const float ratio = s->radius / view->distance;
   const float cosine = SQRT(MAX((1.0f - ratio) * (1.0f + ratio), 0.0f));

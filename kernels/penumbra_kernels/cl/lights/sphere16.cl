@@ -26,7 +26,8 @@ static inline Mask16 sphere_view16(const Lights16 *lights, const Vec16 p, const 
   view->sin_max = ratio;
   view->one_minus_cos = view->inside ? all_around : ratio * ratio / (1.0f + cosine);
   view->pdf = INV_2PI_F / view->one_minus_cos;
-  return on & (two_sided16(lights) | ~view->inside);
+  const float16 slack = GAMMA(16) * radius + GAMMA(8) * max3_16(abs3_16(view->center));
+  return on & (two_sided16(lights) | (view->distance > radius + slack));
 }
 
 static inline Vec16 cone_normal16(const SphereView16 *view, const Vec16 w, const Vec16 t, const float16 one_minus_cos,
