@@ -139,6 +139,19 @@ def test_regular_with_m_light_points_keeps_them_fixed(samplers: Any) -> None:
     np.testing.assert_array_equal(draw(2, PIXEL, 0, strata=1), [0.5, 0.5])
 
 
+@pytest.mark.parametrize("hit", [0, 1])
+def test_sums_of_a_hits_light_and_direction_vary_as_if_these_were_drawn_apart(
+    samplers: Any, hit: int
+) -> None:
+    """The pairs share a shuffle, but are scrambled each by itself: means of terms that are added are uncorrelated."""
+    pixels = np.arange(40_000)[:, None]
+    light, direction = (samplers("sobol")(2, bounce(hit, slot), np.arange(16), pixels, 3) for slot in (1, 3))
+    for axis, other in itertools.product(range(2), repeat=2):
+        f = np.sin(3 * light[..., axis].astype(np.float64)) + (light.sum(axis=-1) < 0.7)
+        g = np.exp(direction[..., other].astype(np.float64)) + ((direction**2).sum(axis=-1) < 0.5)
+        assert abs(np.corrcoef(f.mean(axis=1), g.mean(axis=1))[0, 1]) < Z / np.sqrt(len(pixels))
+
+
 @pytest.mark.parametrize(("log2", "missing"), [(3, 1), (4, 2), (6, 1), (8, 2)])
 @pytest.mark.parametrize("slot", [1, 3], ids=["light", "direction"])
 def test_sobol_spreads_the_pixel_with_what_its_first_hit_sends_out(

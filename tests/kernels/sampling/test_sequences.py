@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import chi2, qmc
+from scipy.stats import chi2, norm, qmc
 
 FALSE_ALARM = 1e-6
 
@@ -106,6 +106,52 @@ def test_scrambled_numbers_are_uniform_over_seeds(launch: Callable[..., None]) -
         seen = np.bincount(out >> 24, minlength=256)
         statistic = ((seen - 256.0) ** 2 / 256.0).sum()
         assert chi2.sf(statistic, 255) > FALSE_ALARM / 5
+
+
+def nested_uniform(x: NDArray[np.uint32], rng: np.random.Generator) -> NDArray[np.uint32]:
+    """Owen's scrambling by its definition: a coin for each interval says whether its halves change places. x: a row of
+    numbers a scrambling, all rows alike; digits behind the 16th are random anew."""
+    order = np.argsort(x[0])
+    low = rng.integers(0, 1 << 16, x.shape, dtype=np.uint32)
+    out = np.zeros_like(x)
+    for bit in range(16):
+        above = x[0].astype(np.uint64) >> np.uint64(32 - bit)
+        _, interval = np.unique(above[order], return_inverse=True)
+        coins = rng.integers(0, 2, (len(x), interval.max() + 1), dtype=np.uint32)
+        flips = np.empty_like(x)
+        flips[:, order] = coins[:, interval]
+        out |= ((x >> np.uint32(31 - bit) & np.uint32(1)) ^ flips) << np.uint32(31 - bit)
+    return np.asarray(out | low)
+
+
+@pytest.mark.parametrize("count", [8, 32])
+def test_hashed_scrambling_varies_as_nested_uniform_scrambling(
+    launch: Callable[..., None], count: int
+) -> None:
+    """The variance of means over a scrambled net is that of Owen's scrambling, for smooth and sharp integrands."""
+    rng = np.random.default_rng(12)
+    rows = 40_000
+    net = (qmc.Sobol(2, scramble=False, bits=32).random(count) * 2.0**32).astype(np.uint32)
+    hashed, nested = [], []
+    for axis in range(2):
+        x = np.ascontiguousarray(np.broadcast_to(net[:, axis], (rows, count)))
+        seeds = np.repeat(rng.integers(0, 1 << 32, rows, dtype=np.uint32), count)
+        out = np.empty_like(x)
+        launch("scrambled", x.size, out, x, seeds)
+        hashed.append(out / 2.0**32)
+        nested.append(nested_uniform(x, rng) / 2.0**32)
+    for f in (
+        lambda x, y: np.sin(3 * x) * np.exp(y),
+        lambda x, y: (x - 0.5) * (y - 0.5),
+        lambda x, y: np.exp(-40 * ((x - 0.3) ** 2 + (y - 0.3) ** 2)),
+        lambda x, y: (0.7 * x + 0.71 * y < 0.6) * 1.0,
+        lambda x, y: ((x - 0.4) ** 2 + (y - 0.6) ** 2 < 0.1) * 1.0,
+    ):
+        means = [f(*points).mean(axis=1) for points in (hashed, nested)]
+        deviations = [m - m.mean() for m in means]
+        variances = [float((d**2).mean()) for d in deviations]
+        errors = [float((d**2).std()) / np.sqrt(rows) / v for d, v in zip(deviations, variances, strict=True)]
+        assert abs(np.log(variances[0] / variances[1])) < norm.isf(FALSE_ALARM / 20) * np.hypot(*errors)
 
 
 def test_rows_are_the_nearest_square_root(launch: Callable[..., None]) -> None:

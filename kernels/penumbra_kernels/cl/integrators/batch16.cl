@@ -144,6 +144,7 @@ static inline void trace_batch16(const SceneData *scene, const __global Params *
   const uint lights = direct_count(scene, params);
   Waiting16 waiting[VECTORS];
   Mask16 found[VECTORS];
+  Ahead16 ahead;
 #if PENUMBRA_LARGE_TREES
   Wing16 wings[VECTORS];
 #endif
@@ -165,8 +166,11 @@ static inline void trace_batch16(const SceneData *scene, const __global Params *
       meet16(scene, params, batch->on[w], on, p);
     }
     pack_paths16(batch);
-    for (uint w = 0u; w < batch->vectors; w++)
-      batch->on[w] = shade16(scene, params, batch->samplers + w, bounce, lights, batch->on[w], batch->paths + w, waiting + w);
+    draw_ahead16(params, batch->samplers, batch->on, batch->vectors, bounce, &ahead);
+    for (uint w = 0u; w < batch->vectors; w++) {
+      const Numbers16 numbers = numbers_of16(&ahead, batch->samplers, w);
+      batch->on[w] = shade16(scene, params, &numbers, bounce, lights, batch->on[w], batch->paths + w, waiting + w);
+    }
     if (any_together16(params)) occlude_packed16(scene, batch->vectors, waiting, found);
 #if PENUMBRA_LARGE_TREES
     else occlude_flying16(scene, batch->vectors, waiting, wings, found);

@@ -21,16 +21,12 @@ static inline Point16 lane_pixels(const Item *items, const uchar *of, const uint
   return at;
 }
 
-static inline Ray16 start_rays16(const Launch *launch, const Point16 at, const Sampler16 *samples, const Mask16 on, float16 *weight) {
+// u: points of the square, in the pixel and on the lens.
+static inline Ray16 start_rays16(const Launch *launch, const Point16 at, const Sampler16 *samples, const Mask16 on, const Point16 *u,
+                                 const Point16 *lens, float16 *weight) {
   const __global Params *params = launch->params;
-  const Point16 u = sample_2d16(samples, DIM_PIXEL, on);
-  Point16 lens;
-  lens.x = lens.y = 0.5f;
-#if PENUMBRA_LENS
-  lens = sample_2d16(samples, DIM_LENS, on);
-#endif
   float16 offset_x, offset_y;
-  filter_sample16(launch->filter_table, params->filter_radius, u.x, u.y, on, &offset_x, &offset_y, weight);
+  filter_sample16(launch->filter_table, params->filter_radius, u->x, u->y, on, &offset_x, &offset_y, weight);
   const float16 film_x = (at.x + 0.5f + offset_x) / (float)params->film_width;
   const float16 film_y = (at.y + 0.5f + offset_y) / (float)params->film_height;
 #if PENUMBRA_MOTION || PENUMBRA_CAMERA_MOTION || PENUMBRA_DEFORMATION
@@ -38,7 +34,7 @@ static inline Ray16 start_rays16(const Launch *launch, const Point16 at, const S
 #else
   const float16 time = params->camera.shutter_open;
 #endif
-  return camera_rays16(&params->camera, launch->scene->keyframes, film_x, film_y, lens.x, lens.y, time, on);
+  return camera_rays16(&params->camera, launch->scene->keyframes, film_x, film_y, lens->x, lens->y, time, on);
 }
 
 // What sixteen samples bring: radiance and alpha, times their weight, 0 where it is not to be counted; and their layers.
@@ -176,14 +172,21 @@ static inline uint fill_batch(const Launch *launch, const uint first, const uint
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void trace_samples(const Launch *launch, const Item *items, const uint count, Batch16 *batch,
                                                           float16 *weight) {
   const uint16 lane = as_uint16(LANE_NUMBERS);
+  Point16 u[VECTORS], lens[VECTORS];
   batch->vectors = (count + LANES - 1u) / LANES;
   batch->moved = false;
   for (uint w = 0u; w < batch->vectors; w++) {
-    const uint first = w * LANES;
-    const Point16 at = lane_pixels(items, batch->samples.of + first, MIN(count - first, LANES));
-    batch->paths[w].number = lane + first;
+    batch->paths[w].number = lane + w * LANES;
     hold_paths16(batch, w, count);
-    paths_start16(batch->paths + w, start_rays16(launch, at, batch->samplers + w, batch->on[w], weight + w));
+    lens[w].x = lens[w].y = 0.5f;
+  }
+  sample_pairs16(batch->samplers, batch->on, batch->vectors, DIM_PIXEL, 1u, u);
+#if PENUMBRA_LENS
+  sample_pairs16(batch->samplers, batch->on, batch->vectors, DIM_LENS, 1u, lens);
+#endif
+  for (uint w = 0u; w < batch->vectors; w++) {
+    const Point16 at = lane_pixels(items, batch->samples.of + w * LANES, MIN(count - w * LANES, LANES));
+    paths_start16(batch->paths + w, start_rays16(launch, at, batch->samplers + w, batch->on[w], u + w, lens + w, weight + w));
   }
   trace_batch16(launch->scene, launch->params, batch);
 }

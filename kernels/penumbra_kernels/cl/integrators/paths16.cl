@@ -7,7 +7,7 @@
 #include "geometry/spawn16.cl"
 #include "lights/lights16.cl"
 #include "materials/bsdf16.cl"
-#include "sampling/sampler16.cl"
+#include "integrators/numbers16.cl"
 
 // PathSample of each lane.
 typedef struct {
@@ -178,28 +178,6 @@ typedef struct {
   uint16 effect;
 } LightRay16;
 
-// Where the numbers of a bounce come from. Those that nearly every hit takes are drawn before it is known what was hit: what waits for
-// memory hides how long they take. Only where all lanes draw at once, which leaves bits alone.
-typedef struct {
-  const Sampler16 *samples;
-  bool lights, scatter;  // whether the numbers below are there
-  Point16 light, direction;
-} Numbers16;
-
-static inline void draw_ahead16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
-                                const Mask16 on, Numbers16 *numbers) {
-  numbers->samples = samples;
-  numbers->lights = numbers->scatter = false;
-#if PENUMBRA_ROWS && (PENUMBRA_AREA_LIGHTS || PENUMBRA_ENVIRONMENT)
-  numbers->lights = bounce <= params->max_bounces && params->shadow_rays == 1u && !(params->options & OPTION_ALL_LIGHTS);
-  if (numbers->lights) numbers->light = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_LIGHT), on);
-#endif
-#if PENUMBRA_ROWS && PENUMBRA_INDIRECT
-  numbers->scatter = bounce < params->max_bounces;
-  if (numbers->scatter) numbers->direction = sample_2d16(samples, DIM_BOUNCE(bounce, SLOT_DIRECTION), on);
-#endif
-}
-
 // Numbers for a sample of each lane's light: only of those that ask for them.
 typedef struct {
   Point16 u;
@@ -214,7 +192,7 @@ typedef struct {
 
 // Number j of the points that lanes choose lights by, and places on them.
 static inline Point16 light_point16(const Numbers16 *numbers, const LightDimensions *dims, const Mask16 on) {
-  if (numbers->lights) return numbers->light;
+  if (numbers->light) return *numbers->light;
   Point16 none;
   none.x = none.y = 0.0f;
   return any16(on) ? sample_2d_of16(numbers->samples, dims->point, dims->j, dims->count, on) : none;
@@ -372,7 +350,7 @@ static inline Mask16 scatter16(const SceneData *scene, const __global Params *pa
   const Mask16 spread = on & bsdf_has_spread16(bsdf);
   if (any16(spread)) {
     Point16 drawn;
-    if (numbers->scatter) drawn = numbers->direction;
+    if (numbers->direction) drawn = *numbers->direction;
     else drawn = sample_2d16(numbers->samples, DIM_BOUNCE(bounce, SLOT_DIRECTION), spread);
     u.x = spread ? drawn.x : u.x;
     u.y = spread ? drawn.y : u.y;
@@ -408,16 +386,14 @@ static inline void meet16(const SceneData *scene, const __global Params *params,
 }
 
 // What the lanes of `on` do at their hits: those that go on.
-static inline Mask16 shade16(const SceneData *scene, const __global Params *params, const Sampler16 *samples, const uint bounce,
+static inline Mask16 shade16(const SceneData *scene, const __global Params *params, const Numbers16 *numbers, const uint bounce,
                              const uint lights, const Mask16 on, Paths16 *p, Waiting16 *waiting) {
   Surface16 surface;
   Bsdf16 bsdf;
   waiting->lit = waiting->smooth = 0;
   if (!any16(on)) return on;
-  Numbers16 numbers;
-  draw_ahead16(scene, params, samples, bounce, on, &numbers);
   const Mask16 shaded = look16(scene, params, bounce, &p->hit, on, p, &surface, &bsdf);
   if (!any16(shaded)) return shaded;
-  ask_lights16(scene, params, &numbers, bounce, lights, &surface, &bsdf, shaded, p, waiting);
-  return scatter16(scene, params, &numbers, bounce, &surface, &bsdf, shaded, p);
+  ask_lights16(scene, params, numbers, bounce, lights, &surface, &bsdf, shaded, p, waiting);
+  return scatter16(scene, params, numbers, bounce, &surface, &bsdf, shaded, p);
 }

@@ -18,14 +18,12 @@ static inline uint reverse_bits(uint x) {
 #endif
 
 // Scrambles a reversed number: each bit is flipped by a hash of the bits below it, the more significant ones. A hash in the
-// manner of Laine and Karras (2011) with the constants of Vegdahl (2021, "Building a Better LK Hash").
+// manner of Laine and Karras (2011): what a seed has a part in, and the last step, of Vegdahl's (2021, "Building a Better LK Hash"),
+// whose two other steps change no variance (decision 27).
 static inline uint scramble_reversed(uint x, const uint seed) {
-  x ^= x * 0x3d20adeau;
   x += seed;
   x *= (seed >> 16) | 1u;
-  x ^= x * 0x05526c56u;
-  x ^= x * 0x53a22864u;
-  return x;
+  return x ^ x * 0x53a22864u;
 }
 
 // Of a number that is reversed already.

@@ -31,8 +31,7 @@ typedef struct {
 #if PENUMBRA_ROWS
   const Sampler *first;  // the first lane's sampler
   bool one;              // which is that of all lanes
-  bool rows;             // the indices' high halves are the same for all lanes
-  ulong high;            // and this
+  bool rows;             // the indices' high halves are 0
   uint16 low;            // of the indices, their low halves
   uint16 element;        // what draw_row_1d and _2d take for these
   uint16 word;           // where the samplers are even: of their keys, the low half of each lane's; the high one follows
@@ -43,7 +42,7 @@ typedef struct {
 #if PENUMBRA_ROWS
 static inline uint16 element_of16(const uint16 low) {
 #if PENUMBRA_SAMPLER == SAMPLER_SOBOL
-  return shuffle_start16(low);
+  return reverse_bits16(low);
 #else
   return low;
 #endif
@@ -59,8 +58,7 @@ static inline void sampler_start16(const Samples *samples, const uint16 number, 
   const ulong index = samples->index[start];
   s->first = samples->samplers + of;
   s->one = of == samples->of[end];
-  s->high = index >> 32;
-  s->rows = samples->index[end] >> 32 == s->high;
+  s->rows = (index | samples->index[end]) >> 32 == 0ul;
   s->low = number + ((uint)index - start);
   if (!s->one && samples->even) {
     s->low = (uint)samples->index[0] + (number & ((1u << samples->shift) - 1u));
@@ -69,7 +67,7 @@ static inline void sampler_start16(const Samples *samples, const uint16 number, 
     s->keys = s->first->key;
     for (uint k = 0u; k < count; k++) {
       const uint at = LANE_U(s->number, k);
-      s->rows = s->rows && samples->index[at] >> 32 == s->high;
+      s->rows = s->rows && samples->index[at] >> 32 == 0ul;
       LANE_U(s->low, k) = (uint)samples->index[at];
       ((ulong *)&s->keys)[k] = samples->samplers[samples->of[at]].key;
     }
@@ -86,70 +84,90 @@ static inline Sampler lane_sampler(const Sampler16 *s, const uint k) {
 }
 
 #if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_SOBOL
-static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
-  const ulong16 keys = hash_combine16(s->keys, dim);
-  return s->high ? hash_combine16(keys, s->high) : keys;
-}
-
-static inline ulong8 even_keys_of(const Sampler16 *s, const ulong dim) {
-  const ulong8 keys = hash_combine8(s->samples->keys, dim);
-  return s->high ? hash_combine8(keys, s->high) : keys;
-}
-
-static inline ulong key_of(const Sampler16 *s, const ulong dim) { return sobol_key(s->first, dim, s->high << 32); }
-
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
   if (s->one) {
-    const ulong key = key_of(s, dim);
+    const ulong key = hash_combine(s->first->key, dim);
     *x = sobol_x16(shuffled16(*element, (uint16)((uint)key)), (uint16)((uint)(key >> 32)));
     return;
   }
   uint16 low, high;
   if (s->samples->even) {
-    const uint16 keys = as_uint16(even_keys_of(s, dim));
+    const uint16 keys = as_uint16(hash_combine8(s->samples->keys, dim));
     low = words_of16(keys, s->word);
     high = words_of16(keys, s->word + 1u);
   } else {
-    const ulong16 keys = keys_of(s, dim);
+    const ulong16 keys = hash_combine16(s->keys, dim);
     low = low_half16(keys);
     high = high_half16(keys);
   }
   *x = sobol_x16(shuffled16(*element, low), high);
 }
 
-static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
-  const ulong shuffle = shuffle_of(dim);
-  if (s->one) {
-    const ulong key = key_of(s, dim), more = mix64(key);
-    uint16 shuffled = shuffled16(*element, (uint16)((uint)(shuffle == dim ? key : key_of(s, shuffle))));
-    if (dim == DIM_PIXEL) shuffled = joined16(shuffled);
-    p->x = sobol_x16(shuffled, (uint16)((uint)(more >> 32)));
-    p->y = sobol_y16(shuffled, (uint16)((uint)more));
-    return;
+// Points of `count` pairs of a family, from the `step` of the first on. pixel: in its order.
+static inline void draw_pairs_of_one(const ulong key, const ulong step, const bool pixel, const uint count, const uint16 element,
+                                     Point16 *p) {
+  uint16 shuffled = shuffled16(element, (uint16)((uint)key));
+  if (pixel) shuffled = joined16(shuffled);
+  ulong state = key * step;
+  for (uint i = 0u; i < count; i++, state *= NEXT_PAIR) {
+    p[i].x = sobol_x16(shuffled, (uint16)((uint)(state >> 32)));
+    p[i].y = sobol_y16(shuffled, (uint16)((uint)(state * NEXT_SEED >> 32)));
   }
-  uint16 key, low, high;
-  if (s->samples->even) {
-    const ulong8 keys = even_keys_of(s, dim), shuffling = shuffle == dim ? keys : even_keys_of(s, shuffle);
-    const uint16 more = as_uint16(mix64_8(keys));
-    key = words_of16(as_uint16(shuffling), s->word);
-    low = words_of16(more, s->word);
-    high = words_of16(more, s->word + 1u);
-  } else {
-    const ulong16 keys = keys_of(s, dim), more = mix64_16(keys);
-    key = low_half16(shuffle == dim ? keys : keys_of(s, shuffle));
-    low = low_half16(more);
-    high = high_half16(more);
+}
+
+// The same of even samplers. word: in their keys, of each lane's low half.
+static inline void draw_pairs_of_even(const ulong8 keys, const uint16 word, const ulong step, const bool pixel, const uint count,
+                                      const uint16 element, Point16 *p) {
+  uint16 shuffled = shuffled16(element, words_of16(as_uint16(keys), word));
+  if (pixel) shuffled = joined16(shuffled);
+  ulong8 state = keys * step;
+  for (uint i = 0u; i < count; i++, state *= NEXT_PAIR) {
+    p[i].x = sobol_x16(shuffled, words_of16(as_uint16(state), word + 1u));
+    p[i].y = sobol_y16(shuffled, words_of16(as_uint16(state * NEXT_SEED), word + 1u));
   }
-  uint16 shuffled = shuffled16(*element, key);
-  if (dim == DIM_PIXEL) shuffled = joined16(shuffled);
-  p->x = sobol_x16(shuffled, high);
-  p->y = sobol_y16(shuffled, low);
+}
+
+// The same with a key a lane.
+static inline void draw_pairs_of_each(const ulong16 keys, const ulong step, const bool pixel, const uint count, const uint16 element,
+                                      Point16 *p) {
+  uint16 shuffled = shuffled16(element, low_half16(keys));
+  if (pixel) shuffled = joined16(shuffled);
+  ulong16 state = keys * step;
+  for (uint i = 0u; i < count; i++, state *= NEXT_PAIR) {
+    p[i].x = sobol_x16(shuffled, high_half16(state));
+    p[i].y = sobol_y16(shuffled, high_half16(state * NEXT_SEED));
+  }
+}
+
+// Points of `count` pairs of a family, of `dim` and of those that follow (SLOT_DIRECTION on SLOT_LIGHT), of each vector: elements of
+// their own, or all `element`.
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_pairs(const Sampler16 *s, const uint vectors, const ulong dim, const uint count,
+                                                       const uint16 *element, Point16 *p) {
+  const ulong family = family_of(dim), step = pair_step(dim);
+  const bool pixel = dim == DIM_PIXEL;
+  const Sampler *last = (const Sampler *)0;
+  ulong key = 0ul;
+  for (uint w = 0u; w < vectors; w++, p += count) {
+    const uint16 at = element ? *element : s[w].element;
+    if (s[w].one) {
+      if (s[w].first != last) key = hash_combine(s[w].first->key, family);
+      last = s[w].first;
+      draw_pairs_of_one(key, step, pixel, count, at, p);
+    } else if (s[w].samples->even) {
+      draw_pairs_of_even(hash_combine8(s[w].samples->keys, family), s[w].word, step, pixel, count, at, p);
+    } else {
+      draw_pairs_of_each(hash_combine16(s[w].keys, family), step, pixel, count, at, p);
+    }
+  }
+}
+
+static inline void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
+  draw_pairs(s, 1u, dim, 1u, element, p);
 }
 #endif
 
 #if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT
 static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim, const uint16 *element) {
-  const ulong16 whole = to_ulong16(*element) | (s->high << 32);
   ulong16 keys = hash_combine(s->first->key, dim);
   if (!s->one && s->samples->even) {
     const uint16 words = as_uint16(hash_combine8(s->samples->keys, dim));
@@ -157,7 +175,7 @@ static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim, const u
   } else if (!s->one) {
     keys = hash_combine16(s->keys, dim);
   }
-  return mix64_16(keys + HASH_STEP * (whole + 1ul));
+  return mix64_16(keys + HASH_STEP * (to_ulong16(*element) + 1ul));
 }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
@@ -176,7 +194,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 // but one.
 static inline bool elements16(const Sampler16 *s, const uint j, const uint m, uint16 *element) {
   *element = element_of16(s->low * m + j);
-  return m > 1u && s->rows && s->high == 0ul && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
+  return m > 1u && s->rows && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
 }
 #endif
 
@@ -242,3 +260,17 @@ static inline Point16 sample_2d_of16(const Sampler16 *s, const ulong dim, const 
 
 static inline float16 sample_1d16(const Sampler16 *s, const ulong dim, const Mask16 on) { return sample_1d_of16(s, dim, 0u, 1u, on); }
 static inline Point16 sample_2d16(const Sampler16 *s, const ulong dim, const Mask16 on) { return sample_2d_of16(s, dim, 0u, 1u, on); }
+
+// A pair of each sample of some vectors, and of what follows it (SLOT_DIRECTION on SLOT_LIGHT), `count` of them a vector.
+static inline void sample_pairs16(const Sampler16 *s, const Mask16 *on, const uint vectors, const ulong dim, const uint count, Point16 *p) {
+#if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_SOBOL
+  bool rows = true;
+  for (uint w = 0u; w < vectors; w++) rows = rows && s[w].rows;
+  if (rows) {
+    draw_pairs(s, vectors, dim, count, (const uint16 *)0, p);
+    return;
+  }
+#endif
+  for (uint w = 0u; w < vectors; w++)
+    for (uint i = 0u; i < count; i++) p[w * count + i] = sample_2d16(s + w, dim + i * (SLOT_DIRECTION - SLOT_LIGHT), on[w]);
+}
