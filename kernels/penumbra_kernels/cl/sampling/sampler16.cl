@@ -4,10 +4,12 @@
 #include "sampling/sampler.cl"
 #include "sampling/hash16.cl"
 #include "sampling/sobol16.cl"
+#include "sampling/strata16.cl"
 
 // Whether all lanes draw a number at once; where not, one after the other.
-#define PENUMBRA_ROWS                                                                     \
-  ((PENUMBRA_SAMPLER == SAMPLER_SOBOL || PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT) &&      \
+#define PENUMBRA_STRATA (PENUMBRA_SAMPLER == SAMPLER_STRATIFIED || PENUMBRA_SAMPLER == SAMPLER_JITTERED)
+#define PENUMBRA_ROWS                                                                                        \
+  ((PENUMBRA_SAMPLER == SAMPLER_SOBOL || PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT || PENUMBRA_STRATA) &&      \
    !PENUMBRA_PICK_FREEZE && !PENUMBRA_COUNT_DRAWS)
 
 #define FEW_SAMPLERS 8u
@@ -31,7 +33,7 @@ typedef struct {
 #if PENUMBRA_ROWS
   const Sampler *first;  // the first lane's sampler
   bool one;              // which is that of all lanes
-  bool rows;             // the indices' high halves are 0
+  bool rows;             // the indices' high halves are 0, and the lanes have strata in common
   uint16 low;            // of the indices, their low halves
   uint16 element;        // what draw_row_1d and _2d take for these
   uint16 word;           // where the samplers are even: of their keys, the low half of each lane's; the high one follows
@@ -46,6 +48,22 @@ static inline uint16 element_of16(const uint16 low) {
 #else
   return low;
 #endif
+}
+#endif
+
+#if PENUMBRA_STRATA
+// Whether the samples of all lanes lie in one block of strata, and few strata are one sampler's.
+static inline bool share_strata16(const Samples *samples, const uint16 number, const uint count, const Sampler16 *s) {
+  const ulong start = samples->index[LANE_U(number, 0u)];
+  const Stratum t = stratum_of(start, s->first->strata);
+  const ulong begin = start - t.offset;
+  if (s->one) return samples->index[LANE_U(number, count - 1u)] - begin < t.count;
+  bool alike = t.count > SMALL_COUNT;
+  for (uint k = 0u; k < count && alike; k++) {
+    const uint at = LANE_U(number, k);
+    alike = samples->index[at] - begin < t.count && samples->samplers[samples->of[at]].strata == s->first->strata;
+  }
+  return alike;
 }
 #endif
 
@@ -73,6 +91,9 @@ static inline void sampler_start16(const Samples *samples, const uint16 number, 
     }
   }
   s->element = element_of16(s->low);
+#if PENUMBRA_STRATA
+  s->rows = s->rows && share_strata16(samples, number, count, s);
+#endif
 #endif
 }
 
@@ -166,24 +187,61 @@ static inline void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16
 }
 #endif
 
-#if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT
-static inline ulong16 random_bits16(const Sampler16 *s, const ulong dim, const uint16 *element) {
-  ulong16 keys = hash_combine(s->first->key, dim);
-  if (!s->one && s->samples->even) {
-    const uint16 words = as_uint16(hash_combine8(s->samples->keys, dim));
-    keys = to_ulong16(words_of16(words, s->word)) | to_ulong16(words_of16(words, s->word + 1u)) << 32ul;
-  } else if (!s->one) {
-    keys = hash_combine16(s->keys, dim);
-  }
-  return mix64_16(keys + HASH_STEP * (to_ulong16(*element) + 1ul));
+#if PENUMBRA_ROWS && PENUMBRA_SAMPLER != SAMPLER_SOBOL
+// The keys of a dimension, a lane each.
+static inline ulong16 keys_of(const Sampler16 *s, const ulong dim) {
+  if (s->one) return hash_combine(s->first->key, dim);
+  if (!s->samples->even) return hash_combine16(s->keys, dim);
+  const uint16 words = as_uint16(hash_combine8(s->samples->keys, dim));
+  return to_ulong16(words_of16(words, s->word)) | to_ulong16(words_of16(words, s->word + 1u)) << 32ul;
+}
+
+static inline ulong16 element_bits16(const ulong16 keys, const uint16 element) {
+  return mix64_16(keys + HASH_STEP * (to_ulong16(element) + 1ul));
+}
+#endif
+
+#if PENUMBRA_ROWS && PENUMBRA_STRATA
+// The strata of elements in one block, after their shuffle. bits: random ones of each.
+static inline uint16 strata_of16(const Sampler16 *s, const ulong dim, const uint16 element, uint *count, ulong16 *bits) {
+  const uint first = LANE_U(element, 0u);
+  const Stratum t = stratum_of(first, s->first->strata);
+  const uint16 within = element - (first - t.offset), none = 0u;
+  const uint16 offset = within < t.count ? within : none;  // of lanes that are off too
+  const ulong16 keys = hash_combine16(keys_of(s, dim), t.block);
+  *count = t.count;
+  *bits = element_bits16(keys, offset);
+  return permute16(offset, t.count, keys);
 }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
-  *x = uniform_of16(high_half16(random_bits16(s, dim, element)));
+  uint count;
+  ulong16 bits;
+  const uint16 at = strata_of16(s, dim, *element, &count, &bits);
+  *x = stratum_1d16(at, count, uniform_of16(high_half16(bits)));
 }
 
 static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
-  const ulong16 bits = random_bits16(s, dim, element);
+  uint count;
+  ulong16 bits;
+  const uint16 at = strata_of16(s, dim, *element, &count, &bits);
+  Point16 jitter;
+  jitter.x = uniform_of16(high_half16(bits));
+  jitter.y = uniform_of16(low_half16(bits));
+#if PENUMBRA_SAMPLER == SAMPLER_STRATIFIED
+  if (dim == DIM_PIXEL) jitter.x = jitter.y = 0.5f;
+#endif
+  *p = stratum_2d16(at, count, jitter);
+}
+#endif
+
+#if PENUMBRA_ROWS && PENUMBRA_SAMPLER == SAMPLER_INDEPENDENT
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_1d(const Sampler16 *s, const ulong dim, const uint16 *element, float16 *x) {
+  *x = uniform_of16(high_half16(element_bits16(keys_of(s, dim), *element)));
+}
+
+static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, const ulong dim, const uint16 *element, Point16 *p) {
+  const ulong16 bits = element_bits16(keys_of(s, dim), *element);
   p->x = uniform_of16(high_half16(bits));
   p->y = uniform_of16(low_half16(bits));
 }
@@ -194,6 +252,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE void draw_row_2d(const Sampler16 *s, cons
 // but one.
 static inline bool elements16(const Sampler16 *s, const uint j, const uint m, uint16 *element) {
   *element = element_of16(s->low * m + j);
+  if (PENUMBRA_STRATA) return false;  // strata of several numbers a sample are others
   return m > 1u && s->rows && !any16(high_half16(to_ulong16(s->low) * (ulong)m + j) != 0u);
 }
 #endif

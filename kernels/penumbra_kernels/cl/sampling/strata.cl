@@ -37,7 +37,7 @@ static inline uint bits_of(const uint count) { return count > 1u ? 32u - CLZ(cou
 #define SMALL_COUNT 16u
 
 // A shuffle of up to 16 numbers, exact (Fisher and Yates; Durstenfeld 1964), a nibble each.
-static inline uint permute_small(const uint i, const uint count, ulong key) {
+static inline ulong small_order(const uint count, ulong key) {
   ulong order = 0xfedcba9876543210ul;
   for (uint j = count - 1u; j > 0u; --j) {
     key = key * 0xd1342543de82ef95ul + HASH_STEP;  // a congruential generator of 64 bits, whose high ones are used
@@ -45,7 +45,7 @@ static inline uint permute_small(const uint i, const uint count, ulong key) {
     const ulong swap = ((order >> (4u * j)) ^ (order >> (4u * k))) & 15ul;
     order ^= (swap << (4u * j)) | (j == k ? 0ul : swap << (4u * k));
   }
-  return (uint)(order >> (4u * i)) & 15u;
+  return order;
 }
 
 // What a round of the network below adds: 32 bits hashed with the round's slice of the key.
@@ -73,7 +73,7 @@ static inline uint permute_bits(const uint x, const uint bits, const ulong key) 
 // A permutation of [0, count) that the key picks. Large ones walk along a cycle of a permutation of the next power of two
 // until they are back within range (Black and Rogaway 2002), fewer than two steps on average.
 static inline uint permute(const uint i, const uint count, const ulong key) {
-  if (count <= SMALL_COUNT) return permute_small(i, count, key);
+  if (count <= SMALL_COUNT) return (uint)(small_order(count, key) >> (4u * i)) & 15u;
   const uint bits = bits_of(count);
   uint x = i;
   do x = permute_bits(x, bits, key);
