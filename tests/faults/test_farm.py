@@ -100,6 +100,9 @@ def full_disk(monkeypatch):  # type: ignore[no-untyped-def]
     monkeypatch.setattr(FolderTileStore, "write", limited)
     monkeypatch.setattr("penumbra_service.engine.runner.SPACE_SECONDS", 0.5)
     monkeypatch.setattr("penumbra_service.engine.course.SNAPSHOT_SECONDS", 0.5)
+    monkeypatch.setattr(
+        "penumbra_service.engine.course.SNAPSHOT_SHARE", 0.0
+    )  # however long the last one took
     return full
 
 
