@@ -284,6 +284,23 @@ class Device:
         with self._driver(f"copying {out.nbytes} bytes from the device"):
             cl.enqueue_copy(self.queue, out, buffer)
 
+    def download_rows(self, buffer: cl.Buffer, out: np.ndarray[Any, Any], stride: int) -> None:
+        """Fill a contiguous array, row by row, from a buffer whose rows are `stride` bytes apart; waits for the queue."""
+        import pyopencl as cl
+
+        size = out[0].nbytes
+        with self._driver(f"copying {out.nbytes} bytes from the device"):
+            cl.enqueue_copy(  # type: ignore[call-overload]  # its stub has another name for buffer_origin
+                self.queue,
+                out,
+                buffer,
+                buffer_origin=(0, 0),
+                host_origin=(0, 0),
+                region=(size, len(out)),
+                buffer_pitches=(stride,),
+                host_pitches=(size,),
+            )
+
     @contextmanager
     def _driver(self, what: str) -> Iterator[None]:
         """Turn the driver's errors into DeviceError."""

@@ -62,7 +62,7 @@ PARAMS: Final = np.dtype(
         ("log2_samples", np.uint32),  # blue noise: bits of the sample index below the pixel's rank
         ("options", np.uint32),  # OPTION_* bits
         ("kept", np.uint32),  # adaptive: indices that every pixel takes, 0 or a power of two
-        ("pad0", np.uint32),
+        ("sum_stride", np.uint32),  # words from one plane of the node's sums to the next (sums.stride_of)
     ]
 )
 
@@ -410,7 +410,7 @@ CONSTANTS: Final[dict[str, int]] = {
     "GROUP_DIRECTIONS": 16,
     "DRAWN_BOUNCE": 2,  # of the counters of numbers drawn, that of a hit's slot 0, which is free (dimensions.py)
     "DRAWN_COUNT": 8,
-    # planes of a node's sums (sums.py), `params.item_count` words each
+    # planes of a node's sums (sums.py), `params.item_count` words each, `params.sum_stride` apart
     "SUM_RGBA": 0,  # float, four of them: over the samples that were taken and not rejected
     "SUM_TAKEN": 4,  # samples that count, zeros included, rejected ones not
     "SUM_LIT": 5,  # of these, samples that carried light

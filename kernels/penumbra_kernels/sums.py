@@ -103,8 +103,15 @@ class Sums:
         return total
 
 
+def stride_of(entries: int) -> int:
+    """Words from one plane of `entries` to the next, as a kernel writes them. Tiles of 64 or 96 pixels have planes of whole
+    4 KiB: an entry's numbers, and its replicates', would all fall into one set of a cache, and throw each other out. So
+    planes are seven lines of 64 bytes more than that apart."""
+    return -(-entries // 1024) * 1024 + 112
+
+
 def of_words(words: NDArray[np.uint32]) -> Sums:
-    """Of (SUM_PLANES, replicates, height, width), as the kernel writes them."""
+    """Of (SUM_PLANES, replicates, height, width): the planes that a kernel writes, without what lies between."""
     rays = CHANNELS + len(COUNTS)
     return Sums(words[:CHANNELS].view(np.float32), words[CHANNELS:rays], words[rays])
 

@@ -14,7 +14,7 @@ from penumbra_kernels.accel.compact import tree_arrays
 from penumbra_kernels.allotment import AS_GIVEN, Allotment, even, halves, pilot_seed
 from penumbra_kernels.layout import CONSTANTS, LAYERS, PARAMS
 from penumbra_kernels.nodes import FLOAT32_SAMPLES, SumNode, Tile, joined, merge
-from penumbra_kernels.sums import of_words
+from penumbra_kernels.sums import of_words, stride_of
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -276,10 +276,11 @@ class Tracer:
             params["items_per_group"] = items_per_group(self._taken(first_sample, sample_count, allotment))
         params["item_count"] = items
         params["options"] = self._options | np.uint32(self.other_groups << CONSTANTS["OPTION_OTHER_SHIFT"])
+        params["sum_stride"] = stride = stride_of(items)
         words = np.empty((CONSTANTS["SUM_PLANES"], *shape), np.uint32)
         layers = np.empty(shape, LAYERS) if self.flags["PENUMBRA_LAYERS"] else None
         buffers["params"] = self.device.upload(params)
-        buffers["sums"] = self.device.allocate(words.nbytes)
+        buffers["sums"] = self.device.allocate(4 * len(words) * stride)
         if layers is not None:
             buffers["layers"] = self.device.allocate(layers.nbytes)
         counted = self.flags.get("PENUMBRA_COUNT_DRAWS")
@@ -292,7 +293,7 @@ class Tracer:
             buffers[name] for name, present in ARGUMENTS if present(self.flags) and name != "first_item"
         ]
         self._run(arguments, items, int(params["items_per_group"]), sample_count)
-        self.device.download(buffers["sums"], words)
+        self.device.download_rows(buffers["sums"], words.reshape(len(words), items), 4 * stride)
         if layers is not None:
             self.device.download(buffers["layers"], layers)
         if drawn is not None:

@@ -48,7 +48,8 @@ Filter = Annotated[
 
 
 class Crop(Model):
-    """A window of pixels; the finished EXR holds it as its data window. Its bits equal the full frame's."""
+    """A window of pixels; the finished EXR holds it as its data window. Its bits equal the full frame's, but for
+    the `block` flag of 8x8 blocks that it cuts."""
 
     x: Annotated[int, Field(ge=0), NotBoolean]
     y: Annotated[int, Field(ge=0), NotBoolean]

@@ -20,7 +20,8 @@ class Integrator(Model):
     """Bounces before Russian roulette may end a path; survival is min(1, throughput)."""
     light_selection: Literal["auto", "all", "uniform", "power", "tree"] = "auto"
     """Which lights a hit asks: every one, or `shadow_rays` picks by equal chance, by power, or by a light tree, which
-    also knows where they are. `auto` is the tree from 4 lights on, and power below."""
+    also knows where they are. `auto` is the tree where it pays, by how many lights of which kinds there are,
+    and power elsewhere."""
     shadow_rays: Annotated[int, Field(ge=1, le=limits.MAX_SHADOW_RAYS), NotBoolean] = 1
     """Shadow rays per light (all), or picks per hit (uniform, power, tree)."""
     light_sampling: Literal["solid_angle", "area"] = "solid_angle"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from penumbra_scene.adaptive import Adaptive, in_force
 from penumbra_scene.errors import ProblemItem
 from penumbra_scene.job import JobRequest
 
+from penumbra_service.film.replicates import choose_layout, pilot_samples
 from penumbra_service.settings import Settings
 
 
@@ -37,12 +39,22 @@ def beyond(request: JobRequest, settings: Settings, base: str) -> list[ProblemIt
 
 
 def samples_of(request: JobRequest) -> int | None:
-    """Of all pixels and frames, at most; None where the stop rule does not tell."""
+    """Of all pixels and frames, at most, whole replicates as they are rendered, with what a certified pilot was asked to take
+    beside the picture's; None where the stop rule does not tell."""
     scene = request.resolved_scene()
-    if scene.stop.samples is None:
+    layout = choose_layout(scene.sampler, scene.stop.model_copy(update={"relative_error": None}))
+    if layout.samples is None:
         return None
     window = scene.film.window
-    return scene.stop.samples * window.width * window.height * max(len(request.sequence), 1)
+    each = layout.samples + _dropped(in_force(scene.adaptive), layout.replicates)
+    return each * window.width * window.height * max(len(request.sequence), 1)
+
+
+def _dropped(adaptive: Adaptive | None, replicates: int) -> int:
+    """Samples a pixel that decide and are not kept, where their number was asked for."""
+    if adaptive is None or adaptive.biased or adaptive.pilot_samples is None:
+        return 0
+    return replicates * pilot_samples(-(-adaptive.pilot_samples // replicates))
 
 
 def within(request: JobRequest, settings: Settings) -> JobRequest:

@@ -19,7 +19,7 @@ from penumbra_scene.exits import Exit
 from penumbra_service.commands import Command, CommandError
 
 if TYPE_CHECKING:
-    from penumbra_scene.receipt import Receipt
+    from penumbra_scene.receipt import Receipt, SampleMap
     from penumbra_scene.scene import Scene
 
     from penumbra_service.engine.task import FixedPlan
@@ -98,7 +98,17 @@ def _plan(old: Receipt, scene: Scene) -> FixedPlan:
         levels = levels_of(old.adaptive.map, Tile(window.x, window.y, window.width, window.height))
     except ValueError as error:
         raise CommandError(f"the receipt's map of samples cannot be read: {error}", Exit.INVALID) from error
+    _demand_rays(old.adaptive.map, scene.integrator.shadow_rays)
     return FixedPlan(end, levels, adaptive_use(old.adaptive, levels))
+
+
+def _demand_rays(found: SampleMap, most: int) -> None:
+    given = max(found.shadow_rays, *found.kept_shadow_rays)
+    if given > most:
+        raise CommandError(
+            f"the receipt's map asks hits for {given} shadow rays: accepted are up to the scene's own {most}",
+            Exit.INVALID,
+        )
 
 
 def _receipt(path: Path) -> Receipt:
@@ -117,7 +127,8 @@ def _demand(old: Receipt, scene: Scene) -> None:
     if scene_hash(scene) != old.scene_hash:
         raise CommandError(
             f"the receipt is of another scene ({old.scene_hash}, not {scene_hash(scene)}): give the file that was "
-            "rendered, with the settings of the command line or the job in it",
+            "rendered, with the settings of the command line or the job in it; if it is that one, another version of "
+            f"Penumbra knew other settings (the receipt's has kernels {old.kernel_hash})",
             Exit.INVALID,
         )
     if scene.adaptive is not None and (old.adaptive is None or old.adaptive.map is None):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from penumbra_kernels.layout import CONSTANTS
 from penumbra_kernels.sums import (
     COUNTS,
     NAMES,
@@ -13,6 +14,7 @@ from penumbra_kernels.sums import (
     empty_sums,
     no_sums,
     of_replicates,
+    stride_of,
 )
 
 SHAPE = (2, 3, 5)
@@ -63,3 +65,14 @@ def test_a_part_is_the_same_memory_and_has_the_bytes_of_its_own() -> None:
     assert (whole["rgba"][:, 1:, 2:4] == 7).all()
     assert np.array_equal(whole[1:]["taken"], whole["taken"][1:])
     assert of_replicates([whole[:1], whole[1:]]).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("side", [16, 32, 64, 96, 128])
+@pytest.mark.parametrize("replicates", [1, 4, 8])
+def test_an_entrys_numbers_lie_in_different_sets_of_a_cache(side: int, replicates: int) -> None:
+    """Of caches whose sets repeat after 4 KiB, lines of 64 bytes."""
+    entries = replicates * side * side
+    stride = stride_of(entries)
+    assert entries <= stride < entries + 2048
+    lines = {4 * stride * plane // 64 % 64 for plane in range(CONSTANTS["SUM_PLANES"])}
+    assert len(lines) == CONSTANTS["SUM_PLANES"]

@@ -110,6 +110,8 @@ def test_a_receipt_without_its_map_and_one_with_a_broken_map_are_refused(tmp_pat
         (None, "does not hold that map"),
         ({**receipt["adaptive"]["map"], "rows": 5}, "5 x 16 blocks, where the picture has 12 x 16"),
         ({**receipt["adaptive"]["map"], "levels": "AAAA"}, "map of samples cannot be read"),
+        ({**receipt["adaptive"]["map"], "shadow_rays": 10**9}, "1000000000 shadow rays: accepted are up to"),
+        ({**receipt["adaptive"]["map"], "kept_shadow_rays": [2, 1]}, "2 shadow rays: accepted are up to"),
     ):
         path.write_text(json.dumps({**receipt, "adaptive": {**receipt["adaptive"], "map": broken}}))
         with pytest.raises(CommandError, match=message):

@@ -80,7 +80,11 @@ def _least(interval: Interval, words: str = "at least ") -> str:
 
 
 def _durations(interval: Interval) -> str:
-    return "" if interval.high is None else _between(duration(interval.low), duration(interval.high))
+    return (
+        ""
+        if interval.high in (None, interval.low)
+        else _between(duration(interval.low), duration(interval.high))
+    )
 
 
 def _percents(interval: Interval | None) -> str:

@@ -116,7 +116,7 @@ typedef struct {
   uint log2_samples;
   uint options;
   uint kept;
-  uint pad0;
+  uint sum_stride;
 } Params;
 // sizeof(Params) == 208
 

@@ -172,6 +172,8 @@ def attributes(renders: Sequence[Mapping[str, Any]]) -> dict[str, Value]:
     told["sampler"] = " ".join(dict.fromkeys(w for r in renders for w in str(r["sampler"]).split()))
     told["mergedRenders"] = sum(int(render.get("mergedRenders", 1)) for render in renders)
     told["mergedFrom"] = "; ".join(str(render.get("mergedFrom") or _name(render)) for render in renders)
+    if "shadowRays" in told:
+        told["shadowRays"] = _joined([render.get("shadowRays", "the scene's") for render in renders])
     told["stopReason"] = "merged"
     told["biased"] = _joined([r["biased"] for r in renders if r["biased"] != "no"]) or "no"
     told["variance"] = (

@@ -35,7 +35,7 @@ from penumbra_service.film.allocation import (
 )
 from penumbra_service.film.film import Film
 from penumbra_service.film.levels import LevelMap
-from penumbra_service.film.replicates import Layout
+from penumbra_service.film.replicates import Layout, pilot_samples
 from penumbra_service.film.shadow_rays import compared, comparison_of
 from penumbra_service.film.stop import StopRule
 from penumbra_service.film.tilefile import FolderTileStore
@@ -211,7 +211,7 @@ class Stages:
             wanted = (
                 min(wanted, max(limit, 1)) if adaptive.biased or adaptive.pilot_samples is None else wanted
             )
-        rounded = 1 << max(wanted - 1, 0).bit_length()
+        rounded = pilot_samples(wanted)
         return rounded // 2 if adaptive.biased and most is not None and rounded > most else rounded
 
     def _most_pilot(self) -> int:

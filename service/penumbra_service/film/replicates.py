@@ -51,6 +51,11 @@ def choose_layout(sampler: Sampler, stop: Stop) -> Layout:
     return Layout(replicates, samples, strata, deterministic)
 
 
+def pilot_samples(wanted: int) -> int:
+    """Samples that each replicate of a pilot takes where so many are wanted: a power of two."""
+    return 1 << max(wanted - 1, 0).bit_length()
+
+
 def _demand_variance(sampler: Sampler, stop: Stop, deterministic: bool) -> None:
     if deterministic:
         raise UnknownErrorTargetError(

@@ -137,6 +137,12 @@ class _Range:
         self._ends = (low, high)
         self._confidence = confidence
 
+    def ended_by(self, seconds: float, surely: bool) -> _Range:
+        """Of seconds, where the clock ends them. surely: nothing else may."""
+        low, high = self._ends
+        low = seconds if surely else min(low, seconds)
+        return _Range(min(self.value, seconds), low, min(high or seconds, seconds), self._confidence)
+
     def seconds(self, spread: _Spread) -> _Range:
         """The same in seconds of tracing, its ends wider by what the pilot's rate is uncertain."""
         wider = normal_quantile(self._confidence) * spread.rate_deviation
@@ -178,6 +184,8 @@ def _end(scene: Scene, found: PilotResult) -> QuotedEnd:
         ends.append((n, StopReason.RELATIVE_ERROR, _Range(n, n, n, confidence)))
     _, reason, samples = min(ends, key=lambda end: end[0])
     seconds = samples.seconds(spread)
+    if stop.seconds is not None:
+        seconds = seconds.ended_by(stop.seconds, surely=len(ends) == 1)
     error = error_at(found.points, samples.value / spread.saving.samples, confidence)
     return QuotedEnd(
         reason=reason,

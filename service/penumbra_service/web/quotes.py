@@ -50,9 +50,9 @@ def quote_view(quote: Quote) -> QuoteView:
 def _summary(quote: Quote) -> str:
     end = quote.end
     seconds, samples = words.duration(end.seconds), words.count(end.samples)
-    text = (
-        f"As it stands: {_least(end.seconds_interval)}{seconds} of tracing ({_between(end.seconds_interval)})"
-    )
+    known = end.seconds_interval.high == end.seconds_interval.low
+    between = "" if known else f" ({_between(end.seconds_interval)})"
+    text = f"As it stands: {_least(end.seconds_interval)}{seconds} of tracing{between}"
     text += f", {_least(end.samples_interval)}{samples} samples a pixel"
     if end.relative_error is not None:
         text += f", a relative error of {words.percent(end.relative_error)}"

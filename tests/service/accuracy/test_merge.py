@@ -184,6 +184,13 @@ def test_a_render_to_an_error_says_what_was_predicted_and_a_merged_one_does_not(
     assert not {"penumbra:theta", "penumbra:predictedSeconds"} & read(tmp_path / "both.exr")[1].keys()
 
 
+def test_shadow_rays_are_told_where_only_one_of_the_parts_decided_them() -> None:
+    part = {"seed": "1", "sampler": "sobol", "replicates": 4, "samples": 8.0, "seconds": 1.0, "biased": "no"}
+    told = attributes([part, {**part, "seed": "2", "shadowRays": 1}])
+    assert told["shadowRays"] == "the scene's; 1"
+    assert "shadowRays" not in attributes([part, {**part, "seed": "2"}])
+
+
 def test_unknown_attributes_of_the_parts_are_kept() -> None:
     part = {"seed": "1", "sampler": "sobol", "replicates": 8, "samples": 8.0, "seconds": 1.0, "biased": "no"}
     told = attributes([{**part, "note": "a"}, {**part, "seed": "2", "note": "b", "biased": "adaptive"}])

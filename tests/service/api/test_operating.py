@@ -60,8 +60,15 @@ def test_a_job_beyond_the_operators_limits_is_refused_at_its_place(
         assert pointers == ["/stop/samples", "/stop/seconds"]
         bare = client.post(path, json={**scene, "stop": {"seconds": 61}})
         assert [e["pointer"] for e in bare.json()["errors"]] == ["/stop/seconds"]
-        asked["stop"] = {"samples": 63, "seconds": 60}
+        asked["stop"] = {"samples": 61}
+        assert client.post(path, json=asked).status_code == 422, "61 samples are 64 in whole replicates"
+        asked["stop"] = {"samples": 60, "seconds": 60}
         assert client.post(path, json=asked).status_code < 300
+        asked["adaptive"] = {"pilot_samples": 8}
+        (error,) = client.post(path, json=asked).json()["errors"]
+        assert error["given"] == "32640 over all pixels and frames", (
+            "a certified pilot is rendered beside the picture"
+        )
 
 
 def test_an_error_ends_at_the_operators_time_and_planned_samples_are_left_alone(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from penumbra_scene.job import StopReason
 from penumbra_scene.quote import Quote
 from penumbra_scene.scene import Scene
 from penumbra_service.film.allocation import Saving
@@ -87,6 +88,14 @@ def test_samples_and_seconds_that_are_asked_for_are_known_all_the_same(stop: dic
     assert end.seconds_interval.high is not None
     assert end.relative_error_interval is not None
     assert end.relative_error_interval.high is None
+
+
+def test_seconds_end_where_the_clock_does() -> None:
+    alone = quoted({"seconds": 10.0}, 400.0, of_few=False).end
+    assert (alone.seconds_interval.low, alone.seconds, alone.seconds_interval.high) == (10, 10, 10)
+    capped = quoted({"seconds": 10.0, "relative_error": 0.001}, 400.0, of_few=False).end
+    assert capped.reason == StopReason.SECONDS
+    assert 0 < capped.seconds_interval.low <= capped.seconds == capped.seconds_interval.high == 10
 
 
 def test_the_page_says_at_least() -> None:

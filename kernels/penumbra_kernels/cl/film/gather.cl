@@ -65,12 +65,12 @@ static inline void gather_layers(Gather *gather, const uint i, const PathSample 
 #endif
 }
 
-// Writes the node of `count` samples: the entry of each plane that `out` is in the first one, planes of `entries` each. layers: null
-// where there are none.
-static inline void gather_write(const Gather *gather, const uint count, const uint entries, __global Layers *layers,
+// Writes the node of `count` samples: the entry of each plane that `out` is in the first one, planes `stride` words apart. layers:
+// null where there are none.
+static inline void gather_write(const Gather *gather, const uint count, const uint stride, __global Layers *layers,
                                 __global uint *out) {
   const uint top = level_of(MAX(count, 1u));
-  const size_t plane = entries;
+  const size_t plane = stride;
   const float4 sum = gather->levels[top];
   out[SUM_RGBA * plane] = as_uint(sum.x);
   out[(SUM_RGBA + 1u) * plane] = as_uint(sum.y);

@@ -136,7 +136,7 @@ static PENUMBRA_NOINLINE void trace_item(const Launch *launch, const uint number
     tree_add(gather.levels, i, leaf(value, item.share.thinned));
     gather_layers(&gather, i, &sample, item.share.thinned);
   }
-  gather_write(&gather, item.share.count, launch->params->item_count, layers, out);
+  gather_write(&gather, item.share.count, launch->params->sum_stride, layers, out);
 #if PENUMBRA_COUNT_DRAWS
   for (uint k = 0; k < DRAWN_COUNT; k++) drawn[k] = counted[k];
 #endif

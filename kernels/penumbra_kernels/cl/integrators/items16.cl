@@ -220,7 +220,7 @@ static PENUMBRA_NOINLINE PENUMBRA_WIDE uint trace_items16(const Launch *launch, 
   }
   for (uint j = 0u; j < n; j++) {
     const uint entry = entry_of(launch->params, first + j);
-    gather_write(gathers + j, items[j].share.count, launch->params->item_count, layers + entry, sums + entry);
+    gather_write(gathers + j, items[j].share.count, launch->params->sum_stride, layers + entry, sums + entry);
 #if PENUMBRA_COUNT_DRAWS
     for (uint k = 0u; k < DRAWN_COUNT; k++) drawn[entry * DRAWN_COUNT + k] = counted[j][k];
 #endif
