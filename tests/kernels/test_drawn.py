@@ -107,6 +107,15 @@ def test_numbers_and_rays_of_a_path(device: Device, name: str, program: str) -> 
     assert traced == rays if rays is not SOME else 1 < traced <= 3
 
 
+@pytest.mark.parametrize("sampler", ["independent", "stratified", "jittered", "sobol", "blue_noise"])
+def test_every_sampler_counts_what_its_paths_draw(device: Device, sampler: str) -> None:
+    scene = {**CASES["a sky"][0], "sampler": {"type": sampler}}
+    tracer = Tracer(
+        device, compile_scene(Scene.model_validate(scene), NoAssets()), SamplePlan(2, 8), measuring=True
+    )
+    assert drawn_per_path(tracer, [TILE], 8) == {"pixel": 2, "point on the light": 2}
+
+
 def test_a_program_that_does_not_measure_counts_nothing(device: Device) -> None:
     compiled = compile_scene(Scene.model_validate(CASES["a sky"][0]), NoAssets())
     tracer = Tracer(device, compiled, SamplePlan(2, 8))

@@ -51,7 +51,7 @@ static inline uint16 element_of16(const uint16 low) {
 }
 #endif
 
-#if PENUMBRA_STRATA
+#if PENUMBRA_ROWS && PENUMBRA_STRATA
 // Whether the samples of all lanes lie in one block of strata, and few strata are one sampler's.
 static inline bool share_strata16(const Samples *samples, const uint16 number, const uint count, const Sampler16 *s) {
   const ulong start = samples->index[LANE_U(number, 0u)];
