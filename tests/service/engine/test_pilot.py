@@ -116,7 +116,7 @@ def test_pilots_of_one_seed_are_alike_and_have_samples_of_their_own(
 def test_a_pilot_goes_ahead_of_a_running_job_and_leaves_its_bits_alone(
     engine: LocalEngine, tmp_path: Path
 ) -> None:
-    long = scene(stop={"samples": 4096})
+    long = scene(stop={"samples": 65536})
     results: list[RunResult] = []
     began = threading.Event()
     runner = JobRunner(
